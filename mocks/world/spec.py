@@ -1,0 +1,58 @@
+"""The world that the three mocks share, as values: what is true, which the controller does not know.
+
+Written as ``world.json`` into the run's folder before the mocks start; each mock reads it there.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from perception.geometry import Pose
+
+Panel = Literal["port", "plain"]
+Vector6 = tuple[float, float, float, float, float, float]
+
+
+@dataclass(frozen=True, slots=True)
+class WorldSpec:
+    """The truth of one mission. Poses are (x, y, z, rx, ry, rz): metres and rotation vector in radians."""
+
+    seed: int
+    port: str
+    """Bundled port name of the vehicle's inlet."""
+    T_base_port: Vector6
+    T_flange_scanner: Vector6
+    T_flange_tcp: Vector6
+    T_port_tcp: Vector6
+    """Pose of the plug (TCP) in the port frame when it is fully mated."""
+    panel: Panel = "port"
+    """``plain``: a vehicle panel without any port."""
+    glare_until_sweep: int = 0
+    """The first N sweeps lose most returns near the port (sun glare): a scan that a locator must refuse."""
+    blocked_depth_m: float | None = None
+    """Something hard sits in the port at this depth below the rim plane."""
+    profile_noise_m: float = 0.0001
+    """1 sigma of each measured range."""
+    time_scale: float = 1.0
+    """Emulated seconds per wall second (--fast)."""
+    arm_model: str = "ur10e"
+    start_joints: Vector6 = (0.0, -1.5708, 1.5708, -1.5708, -1.5708, 0.0)
+
+    @staticmethod
+    def load(folder: Path) -> WorldSpec:
+        """Read ``world.json`` from a run's folder."""
+        values = json.loads((folder / "world.json").read_text())
+        return WorldSpec(**{key: tuple(v) if isinstance(v, list) else v for key, v in values.items()})
+
+    def save(self, folder: Path) -> None:
+        """Write ``world.json`` into a run's folder."""
+        (folder / "world.json").write_text(json.dumps(dataclasses.asdict(self), indent=1))
+
+    @property
+    def port_pose(self) -> Pose:
+        """``T_base_port``, the truth."""
+        return Pose.from_vector(self.T_base_port)
