@@ -155,7 +155,7 @@ class Scanner(Protocol):
         """Laser off. Idempotent."""
 
     def take(self) -> list[Profile]:
-        """All profiles decoded since the last call, oldest first; never blocks. Raises LinkLostError once the link is lost."""
+        """Profiles decoded since the last call, oldest first; never blocks. Raises LinkLostError once the link is lost."""
 
     def health(self) -> LinkHealth: ...
 
@@ -396,7 +396,7 @@ class Heartbeat:
     state: int
     """Number of the controller's state."""
     flags: int
-    """b0 e-stop ok, b1 protective stop, b2 tool holds plug, b3 in home, b4 clear of vehicle, b5 mated confirmed by force,
+    """b0 e-stop ok, b1 protective stop, b2 tool holds plug, b3 in home, b4 clear of vehicle, b5 mated by force,
     b6 scanner ok, b7 RTDE ok, b8 motion active."""
     cycle_id: int
 
@@ -424,12 +424,12 @@ class Charger(Protocol):
         """Idempotent."""
 
     def status(self) -> ChargerStatus:
-        """The newest valid status. Raises LinkLostError when the charger has been silent for longer than its time-out."""
+        """The newest valid status. Raises LinkLostError when the charger has been silent beyond its time-out."""
 
     def health(self) -> LinkHealth: ...
 
     def heartbeat(self, beat: Heartbeat) -> None:
-        """Send one heartbeat, and the pose group and pending request when due. Only the supervisor's tick calls this."""
+        """Send one heartbeat, and pose group and pending request when due. Only the supervisor's tick calls this."""
 
     def request(self, request: ChargerRequest, argument: int = 0) -> int:
         """Start a command hand-shake; returns its sequence number. Resends and times out by itself."""

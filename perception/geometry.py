@@ -1,4 +1,4 @@
-"""Rigid transforms. A ``Pose`` named ``T_a_b`` is the pose of frame b in frame a: it maps coordinates in b to coordinates in a."""
+"""Rigid transforms. A ``Pose`` named ``T_a_b`` is the pose of frame b in frame a: it maps b's coordinates to a's."""
 
 from __future__ import annotations
 

@@ -9,7 +9,7 @@ import dataclasses
 import json
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 from perception.geometry import Pose
 
@@ -45,7 +45,7 @@ class WorldSpec:
     @staticmethod
     def load(folder: Path) -> WorldSpec:
         """Read ``world.json`` from a run's folder."""
-        values = json.loads((folder / "world.json").read_text())
+        values: dict[str, Any] = json.loads((folder / "world.json").read_text())
         return WorldSpec(**{key: tuple(v) if isinstance(v, list) else v for key, v in values.items()})
 
     def save(self, folder: Path) -> None:
