@@ -155,7 +155,7 @@ class Scanner(Protocol):
         """Laser off. Idempotent."""
 
     def take(self) -> list[Profile]:
-        """Profiles decoded since the last call, oldest first; never blocks. Raises LinkLostError once the link is lost."""
+        """Profiles decoded since the last call, oldest first; never blocks. Raises LinkLostError once it is lost."""
 
     def health(self) -> LinkHealth: ...
 

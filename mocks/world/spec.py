@@ -45,8 +45,9 @@ class WorldSpec:
     @staticmethod
     def load(folder: Path) -> WorldSpec:
         """Read ``world.json`` from a run's folder."""
-        values: dict[str, Any] = json.loads((folder / "world.json").read_text())
-        return WorldSpec(**{key: tuple(v) if isinstance(v, list) else v for key, v in values.items()})
+        values: Any = json.loads((folder / "world.json").read_text())
+        fields: Any = {key: tuple(value) if isinstance(value, list) else value for key, value in values.items()}
+        return WorldSpec(**fields)
 
     def save(self, folder: Path) -> None:
         """Write ``world.json`` into a run's folder."""
