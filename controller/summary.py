@@ -1,6 +1,6 @@
 """What a mission came to, as values: what the terminal, the report and ``--json`` say in the end.
 
-Units are those of reports (mm, deg, N), because these values are only read by people and scripts, never calculated with.
+Units are those of reports (mm, deg, N): these values are only read by people and scripts, never calculated with.
 """
 
 from __future__ import annotations
