@@ -1,0 +1,302 @@
+"""The site configuration: typed, bounded, unknown keys refused. YAML in; every key carries its unit.
+
+``config/default.yaml`` holds every key; a site file overrides what differs. Nothing here opens a device.
+"""
+
+from __future__ import annotations
+
+import difflib
+from importlib import resources
+from pathlib import Path
+from typing import Annotated, Any, ClassVar, Literal
+
+import numpy as np
+import yaml
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from perception.errors import PortdockError
+from perception.geometry import Pose
+
+Vector3 = tuple[float, float, float]
+
+
+class ConfigError(PortdockError):
+    """The configuration cannot be used as it is (exit code 2)."""
+
+    code: ClassVar[str] = "config"
+    default_remedy: ClassVar[str] = "Correct the key named above; `portdock config check FILE` checks a file alone."
+
+
+class Section(BaseModel):
+    """Base of all sections: immutable, no unknown keys."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+
+class PoseConfig(Section):
+    """A rigid transform as millimetres and a rotation vector in degrees."""
+
+    xyz_mm: Vector3 = (0.0, 0.0, 0.0)
+    rotvec_deg: Vector3 = (0.0, 0.0, 0.0)
+
+    @property
+    def pose(self) -> Pose:
+        """The same in SI."""
+        return Pose.from_rotvec(np.deg2rad(self.rotvec_deg), np.asarray(self.xyz_mm) / 1000.0)
+
+
+class PortConfig(Section):
+    """Which port the site expects, and where."""
+
+    model: str = "ccs2"
+    """Bundled port name or path of a port file."""
+    T_base_port: PoseConfig = PoseConfig()
+    """Where the port is when the car stands as it should."""
+    lateral_mm: Annotated[float, Field(gt=0, le=200)] = 40.0
+    along_mm: Annotated[float, Field(gt=0, le=200)] = 30.0
+    tilt_deg: Annotated[float, Field(gt=0, le=45)] = 20.0
+    roll_deg: Annotated[float, Field(gt=0, le=180)] = 15.0
+
+
+class ViewpointConfig(Section):
+    """From where a sweep looks at the port: rotated about the port's axes."""
+
+    pitch_deg: Annotated[float, Field(ge=-40, le=40)] = 0.0
+    yaw_deg: Annotated[float, Field(ge=-40, le=40)] = 0.0
+
+
+class ScanConfig(Section):
+    """How a sweep is made."""
+
+    standoff_mm: Annotated[float, Field(ge=50, le=1000)] = 290.0
+    length_mm: Annotated[float, Field(ge=20, le=500)] = 180.0
+    speed_mm_s: Annotated[float, Field(gt=0, le=100)] = 25.0
+    acceleration_mm_s2: Annotated[float, Field(gt=0, le=2000)] = 200.0
+    centre_mm: tuple[float, float] = (0.0, -18.0)
+    """Centre of the sweep in the port's plane (x, y)."""
+    min_points: Annotated[int, Field(ge=100, le=1_000_000)] = 5000
+    viewpoints: Annotated[tuple[ViewpointConfig, ...], Field(min_length=1, max_length=6)] = (
+        ViewpointConfig(),
+        ViewpointConfig(pitch_deg=12.0),
+        ViewpointConfig(yaw_deg=12.0),
+    )
+
+
+class ScannerConfig(Section):
+    """The laser profiler."""
+
+    format: str = "wide_xz"
+    """Name of a bundled frame description, or path of one."""
+    device: str = "/dev/serial/by-id/scanner"
+    baud_rate: Annotated[int, Field(ge=9600, le=12_000_000)] = 3_000_000
+    T_flange_scanner: PoseConfig = PoseConfig()
+    latency_ms: Annotated[float, Field(ge=0, le=500)] = 0.0
+    """Constant delay from the device's time stamp to the measurement, from calibration."""
+    max_lost_profiles_percent: Annotated[float, Field(ge=0, le=50)] = 5.0
+
+
+class ArmConfig(Section):
+    """The Universal Robots arm."""
+
+    model: str = "ur10e"
+    host: str = "192.168.0.10"
+    serial: str | None = None
+    T_flange_tcp: PoseConfig = PoseConfig()
+    payload_kg: Annotated[float, Field(ge=0, le=30)] = 3.0
+    centre_of_gravity_mm: Vector3 = (0.0, 0.0, 80.0)
+    frequency_hz: Literal[125, 500] = 500
+    watchdog_hz: Annotated[float, Field(ge=1, le=50)] = 10.0
+    freshness_ms: Annotated[float, Field(ge=20, le=1000)] = 200.0
+    workspace_min_mm: Vector3 = (-1300.0, -1300.0, -300.0)
+    workspace_max_mm: Vector3 = (1300.0, 1300.0, 1300.0)
+
+
+class ChargerConfig(Section):
+    """The charger on CAN."""
+
+    interface: str = "slcan"
+    channel: str = "/dev/serial/by-id/can-adapter"
+    bitrate_bps: Annotated[int, Field(ge=10_000, le=1_000_000)] = 250_000
+    dbc: str | None = None
+    protection: Literal["none", "counter", "j1850", "e2e-p11", "e2e-p5"] = "e2e-p11"
+    accept_unprotected_can: bool = False
+    degraded_ms: Annotated[float, Field(ge=100, le=1000)] = 150.0
+    lost_ms: Annotated[float, Field(ge=150, le=2000)] = 250.0
+
+
+class MotionConfig(Section):
+    """Speeds and accelerations in free space."""
+
+    joint_speed_deg_s: Annotated[float, Field(gt=0, le=90)] = 40.0
+    joint_acceleration_deg_s2: Annotated[float, Field(gt=0, le=400)] = 80.0
+    linear_speed_mm_s: Annotated[float, Field(gt=0, le=250)] = 80.0
+    approach_speed_mm_s: Annotated[float, Field(gt=0, le=100)] = 50.0
+    acceleration_mm_s2: Annotated[float, Field(gt=0, le=2000)] = 300.0
+    pre_contact_mm: Annotated[float, Field(ge=5, le=200)] = 30.0
+    """Gap between plug and rim plane where the guarded motion starts."""
+    retreat_mm: Annotated[float, Field(ge=20, le=400)] = 90.0
+
+
+class InsertionConfig(Section):
+    """What happens within the last centimetres."""
+
+    contact_speed_mm_s: Annotated[float, Field(gt=0, le=20)] = 10.0
+    contact_force_n: Annotated[float, Field(gt=0, le=50)] = 10.0
+    push_force_n: Annotated[float, Field(gt=0, le=100)] = 60.0
+    speed_limit_mm_s: Annotated[float, Field(gt=0, le=20)] = 15.0
+    lateral_speed_limit_mm_s: Annotated[float, Field(gt=0, le=20)] = 10.0
+    tilt_speed_limit_deg_s: Annotated[float, Field(gt=0, le=5)] = 3.0
+    max_axial_force_n: Annotated[float, Field(gt=0, le=150)] = 80.0
+    max_lateral_force_n: Annotated[float, Field(gt=0, le=100)] = 30.0
+    max_moment_nm: Annotated[float, Field(gt=0, le=20)] = 6.0
+    seated_within_mm: Annotated[float, Field(gt=0, le=5)] = 1.0
+    plateau_s: Annotated[float, Field(gt=0, le=5)] = 0.3
+    stall_s: Annotated[float, Field(gt=0, le=10)] = 1.0
+    search_radius_mm: Annotated[float, Field(gt=0, le=5)] = 2.0
+    search_force_n: Annotated[float, Field(gt=0, le=25)] = 12.0
+    search_s: Annotated[float, Field(gt=0, le=60)] = 8.0
+    withdraw_force_n: Annotated[float, Field(gt=0, le=100)] = 70.0
+    withdraw_speed_mm_s: Annotated[float, Field(gt=0, le=50)] = 25.0
+
+
+class MissionConfig(Section):
+    """Attempts and what a mission waits for."""
+
+    max_attempts: Annotated[int, Field(ge=1, le=5)] = 3
+    on_final_failure: Literal["retreat", "hold"] = "retreat"
+    charge_s: Annotated[float, Field(ge=0, le=1_000_000)] = 5.0
+    """How long current must flow before the mission counts as charged and, in a dry run, ends."""
+    min_charge_current_a: Annotated[float, Field(gt=0, le=500)] = 2.0
+    max_uncertainty_mm: Annotated[float, Field(gt=0, le=5)] = 0.5
+    """Largest predicted standard deviation of the port's position that may become a plan."""
+
+
+class DeadlinesConfig(Section):
+    """The longest stay in each state. In a dry run with --fast they count emulated time."""
+
+    self_check_s: Annotated[float, Field(gt=0, le=600)] = 30.0
+    staging_s: Annotated[float, Field(gt=0, le=600)] = 40.0
+    scanning_s: Annotated[float, Field(gt=0, le=600)] = 60.0
+    locating_s: Annotated[float, Field(gt=0, le=600)] = 60.0
+    approaching_s: Annotated[float, Field(gt=0, le=600)] = 40.0
+    inserting_s: Annotated[float, Field(gt=0, le=600)] = 60.0
+    verifying_s: Annotated[float, Field(gt=0, le=600)] = 15.0
+    charging_s: Annotated[float, Field(gt=0, le=1_000_000)] = 100_000.0
+    releasing_s: Annotated[float, Field(gt=0, le=600)] = 30.0
+    retreating_s: Annotated[float, Field(gt=0, le=600)] = 40.0
+    hold_s: Annotated[float, Field(gt=0, le=36_000)] = 300.0
+
+
+class RecordingConfig(Section):
+    """Where missions are recorded."""
+
+    folder: str = "portdock-runs"
+    keep_mb: Annotated[float, Field(gt=1, le=1_000_000)] = 2000.0
+
+
+class SiteConfig(Section):
+    """Everything a site can set."""
+
+    site: str = "unnamed"
+    port: PortConfig = PortConfig()
+    scan: ScanConfig = ScanConfig()
+    scanner: ScannerConfig = ScannerConfig()
+    arm: ArmConfig = ArmConfig()
+    charger: ChargerConfig = ChargerConfig()
+    motion: MotionConfig = MotionConfig()
+    insertion: InsertionConfig = InsertionConfig()
+    mission: MissionConfig = MissionConfig()
+    deadlines: DeadlinesConfig = DeadlinesConfig()
+    recording: RecordingConfig = RecordingConfig()
+
+
+def load_config(path: Path | None = None) -> SiteConfig:
+    """The defaults, overridden by the site file at ``path``. Raises ConfigError."""
+    values = _read_yaml(resources.files("config").joinpath("default.yaml").read_text(), "default.yaml")
+    if path is not None:
+        try:
+            text = path.read_text(encoding="utf-8")
+        except (OSError, UnicodeDecodeError) as error:
+            raise ConfigError(
+                f"cannot read {path}: {error}", remedy="Give the path of a readable YAML file."
+            ) from error
+        values = _merged(values, _read_yaml(text, str(path)))
+    return parse_config(values)
+
+
+def parse_config(values: dict[str, Any]) -> SiteConfig:
+    """Values as read from YAML -> configuration. Raises ConfigError that names key, bound and unit."""
+    try:
+        return SiteConfig.model_validate(values)
+    except ValidationError as error:
+        raise _explained(error) from None
+
+
+def as_yaml(config: SiteConfig) -> str:
+    """The effective values, every key, as YAML."""
+    return yaml.safe_dump(config.model_dump(mode="json"), sort_keys=False, default_flow_style=None)
+
+
+def _read_yaml(text: str, name: str) -> dict[str, Any]:
+    try:
+        values = yaml.safe_load(text)
+    except yaml.YAMLError as error:
+        where = getattr(error, "problem_mark", None)
+        line = f" at line {where.line + 1}, column {where.column + 1}" if where else ""
+        problem = getattr(error, "problem", None) or "not YAML"
+        raise ConfigError(f"{name} is not valid YAML{line}: {problem}", remedy="Correct that line.") from error
+    if values is None:
+        return {}
+    if not isinstance(values, dict):
+        raise ConfigError(f"{name} is not a YAML mapping of sections")
+    return values
+
+
+def _merged(base: dict[str, Any], over: dict[str, Any]) -> dict[str, Any]:
+    """``over`` on top of ``base``, section by section."""
+    merged = dict(base)
+    for key, value in over.items():
+        both = isinstance(value, dict) and isinstance(merged.get(key), dict)
+        merged[key] = _merged(merged[key], value) if both else value
+    return merged
+
+
+def _explained(error: ValidationError) -> ConfigError:
+    """The first problem as one line of cause and one of remedy."""
+    problem = error.errors()[0]
+    key = ".".join(str(part) for part in problem["loc"])
+    if problem["type"] == "extra_forbidden":
+        near = difflib.get_close_matches(str(problem["loc"][-1]), _keys_beside(problem["loc"]), n=1, cutoff=0.5)
+        remedy = f"Did you mean '{near[0]}'?" if near else "Remove it; `portdock config show` lists every key."
+        return ConfigError(f"unknown key '{key}'", remedy=remedy)
+    unit = _unit(str(problem["loc"][-1]))
+    bounds = {"greater_than": ">", "greater_than_equal": ">=", "less_than": "<", "less_than_equal": "<="}
+    if problem["type"] in bounds:
+        limit = next(iter(problem["ctx"].values()))
+        text = f"{key} is {problem['input']}{unit}, outside its bound"
+        return ConfigError(text, remedy=f"Give a value {bounds[problem['type']]} {limit:g}{unit}.")
+    return ConfigError(f"{key}: {problem['msg'].lower()} (got {problem['input']!r})")
+
+
+def _keys_beside(location: tuple[int | str, ...]) -> list[str]:
+    """The keys that are known where an unknown one stands."""
+    model: Any = SiteConfig
+    for part in location[:-1]:
+        field = model.model_fields.get(str(part)) if hasattr(model, "model_fields") else None
+        model = field.annotation if field else model
+    return list(getattr(model, "model_fields", {}))
+
+
+_UNITS = {
+    "mm": "mm", "deg": "deg", "s": "s", "ms": "ms", "n": "N", "nm": "Nm", "hz": "Hz", "kg": "kg", "a": "A",
+    "bps": "bit/s", "percent": "%", "mb": "MB", "rate": "baud",
+}  # fmt: skip
+
+
+def _unit(key: str) -> str:
+    """The unit that a key's name ends with, with a space before it; empty for a key without unit."""
+    for rate in ("mm_s2", "deg_s2", "mm_s", "deg_s"):
+        if key.endswith(rate):
+            return " " + rate.replace("_", "/", 1).replace("s2", "s^2")
+    unit = _UNITS.get(key.rsplit("_", 1)[-1])
+    return f" {unit}" if unit and "_" in key else ""

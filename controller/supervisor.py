@@ -1,0 +1,315 @@
+"""The periodic tick: freshness, interlocks and deadlines, 100 times a second. Owns stop authority and all heartbeats.
+
+Each tick looks at the links, decides by ``assess`` (pure) whether anything forbids going on, and only then kicks the
+arm's watchdog. The first trip is latched: the arm is stopped at once, the mission is woken and ends in FAULT. While a
+trip stands the watchdog is not kicked and the heartbeat says fault, so that arm and charger fall back on their own
+supervision even if this process does nothing more.
+"""
+
+from __future__ import annotations
+
+import logging
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TypeVar
+
+from controller.faults import Fault, FaultCode, MissionFault
+from controller.states import State
+from drivers.base import (
+    Arm,
+    ArmState,
+    Charger,
+    ChargerState,
+    ChargerStatus,
+    Clock,
+    DriverError,
+    Heartbeat,
+    RobotMode,
+    SafetyMode,
+    Scanner,
+)
+from perception.errors import PortdockError
+
+log = logging.getLogger(__name__)
+
+Value = TypeVar("Value")
+
+TICK_S = 0.01
+HEARTBEAT_EVERY = 5
+STALL_S = 0.5
+"""A tick later than this means that the host was suspended or starved."""
+
+MOVING_STATES = frozenset(
+    {State.STAGING, State.SCANNING, State.APPROACHING, State.INSERTING, State.VERIFYING, State.RETREATING}
+)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Snapshot:
+    """What one tick saw. A missing value carries the fault that explains it."""
+
+    state: State
+    arm: ArmState | None
+    arm_problem: str
+    charger: ChargerStatus | None
+    charger_problem: str
+    scanner_up: bool
+    scanner_problem: str
+    overdue: str
+    """What the state's deadline says; empty while there is time."""
+    late_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class Sources:
+    """The devices that the tick looks at."""
+
+    arm: Arm
+    charger: Charger
+    scanner: Scanner
+
+
+def assess(seen: Snapshot) -> Fault | None:
+    """The first reason not to go on, most urgent first. Pure."""
+    if seen.state in (State.OFFLINE, State.FAULT):
+        return None
+    if seen.arm is not None and (fault := _arm_fault(seen.arm, seen.state)):
+        return fault
+    if seen.charger is not None and (fault := _charger_fault(seen.charger, seen.state)):
+        return fault
+    if seen.arm is None:
+        return Fault(FaultCode.ARM_LINK_LOST, seen.arm_problem)
+    if seen.charger is None:
+        return Fault(FaultCode.CHARGER_LINK_LOST, seen.charger_problem)
+    if not seen.scanner_up and seen.state in (State.STAGING, State.SCANNING):
+        return Fault(FaultCode.SCANNER_LINK_LOST, seen.scanner_problem)
+    if seen.late_s > STALL_S and seen.state in MOVING_STATES:
+        return Fault(FaultCode.SUPERVISOR_STALLED, f"a tick came {seen.late_s * 1000:.0f} ms late")
+    if seen.overdue:
+        return Fault(FaultCode.DEADLINE, seen.overdue)
+    return None
+
+
+def _arm_fault(arm: ArmState, state: State) -> Fault | None:
+    match arm.safety:
+        case SafetyMode.ROBOT_ESTOP | SafetyMode.SYSTEM_ESTOP:
+            return Fault(FaultCode.EMERGENCY_STOP, "pressed at the robot")
+        case SafetyMode.PROTECTIVE_STOP:
+            return Fault(FaultCode.PROTECTIVE_STOP, "the robot stopped itself")
+        case SafetyMode.SAFEGUARD_STOP:
+            return Fault(FaultCode.SAFEGUARD_STOP, "the protected zone was entered")
+        case SafetyMode.VIOLATION | SafetyMode.FAULT | SafetyMode.RECOVERY:
+            return Fault(FaultCode.ARM_NOT_READY, f"safety mode {arm.safety.name}")
+    if arm.mode is not RobotMode.RUNNING and state is not State.SELF_CHECK:
+        return Fault(FaultCode.ARM_NOT_READY, f"robot mode {arm.mode.name}")
+    return None
+
+
+def _charger_fault(charger: ChargerStatus, state: State) -> Fault | None:
+    if charger.estop or charger.state is ChargerState.ESTOP:
+        return Fault(FaultCode.EMERGENCY_STOP, "pressed at the charger")
+    if charger.state is ChargerState.FAULT:
+        return Fault(FaultCode.CHARGER_FAULT, f"charger fault code {charger.fault_code}")
+    if charger.motion_inhibit and state in MOVING_STATES:
+        return Fault(FaultCode.CHARGER_FAULT, "the charger inhibits motion")
+    return None
+
+
+@dataclass(slots=True)
+class Facts:
+    """What the mission knows and the heartbeat tells; set by the mission, read by the tick."""
+
+    state: State = State.OFFLINE
+    deadline_s: float | None = None
+    mode: int = 1
+    cycle_id: int = 0
+    tool_holds_plug: bool = True
+    clear_of_vehicle: bool = True
+    mated: bool = False
+
+
+@dataclass(slots=True)
+class _Request:
+    stop: bool = False
+    abort: bool = False
+
+
+class Supervisor:
+    """Runs the tick in its own thread from ``start`` to ``close``."""
+
+    def __init__(self, sources: Sources, mission_clock: Clock, wall_clock: Clock) -> None:
+        self._sources = sources
+        self._clock = mission_clock
+        self._wall = wall_clock
+        self._facts = Facts()
+        self._request = _Request()
+        self._trip: Fault | None = None
+        self._ticks = 0
+        self._wake = threading.Event()
+        self._ended = threading.Event()
+        self._changed = threading.Condition()
+        self._seen: Snapshot | None = None
+        self._thread = threading.Thread(target=self._run, name="supervisor", daemon=True)
+
+    # --- life
+
+    def start(self) -> None:
+        """Begin to tick."""
+        self._thread.start()
+
+    def close(self) -> None:
+        """End the tick; from here on the arm's watchdog is not kicked any more. Idempotent."""
+        self._ended.set()
+        self._wake.set()
+        if self._thread.is_alive():
+            self._thread.join(timeout=2.0)
+
+    # --- what others tell it
+
+    def enter(self, state: State, stay_s: float | None, facts: Facts | None = None) -> None:
+        """The mission entered ``state`` and may stay ``stay_s`` seconds (None: as long as it takes)."""
+        with self._changed:
+            known = facts or self._facts
+            known.state = state
+            known.deadline_s = None if stay_s is None else self._clock.now_s() + stay_s
+            self._facts = known
+
+    @property
+    def facts(self) -> Facts:
+        """What the heartbeat tells; the mission changes it in place."""
+        return self._facts
+
+    def request_stop(self) -> None:
+        """Finish safely, soon."""
+        self._request.stop = True
+        self._wake.set()
+
+    def request_abort(self) -> None:
+        """Freeze motion now and latch FAULT."""
+        self._request.abort = True
+        self._wake.set()
+
+    def reset(self) -> None:
+        """An operator's reset: forget the latched trip and old requests."""
+        with self._changed:
+            self._trip = None
+            self._request = _Request()
+
+    # --- what others ask it
+
+    @property
+    def trip(self) -> Fault | None:
+        """The latched trip."""
+        return self._trip
+
+    @property
+    def stop_requested(self) -> bool:
+        """Whether somebody asked to finish safely."""
+        return self._request.stop
+
+    def wait(self, until: Callable[[], bool], timeout_s: float | None = None) -> bool:
+        """Wait for ``until``, looked at each tick. False after ``timeout_s`` of mission time. Raises MissionFault."""
+        end_s = None if timeout_s is None else self._clock.now_s() + timeout_s
+        with self._changed:
+            while True:
+                if self._trip is not None:
+                    raise MissionFault(self._trip.code, self._trip.detail)
+                if until():
+                    return True
+                if end_s is not None and self._clock.now_s() >= end_s:
+                    return False
+                self._changed.wait(timeout=0.1)
+
+    # --- the tick
+
+    def _run(self) -> None:
+        due_s = self._wall.now_s()
+        while not self._ended.is_set():
+            late_s = max(0.0, self._wall.now_s() - due_s)
+            try:
+                self._tick(late_s)
+            except Exception:
+                log.exception("the supervisor's tick failed")
+                self._latch(Fault(FaultCode.INTERNAL, "the supervisor's tick failed"))
+            due_s = max(due_s + TICK_S, self._wall.now_s())
+            self._wake.wait(timeout=max(0.0, due_s - self._wall.now_s()))
+            self._wake.clear()
+
+    def _tick(self, late_s: float) -> None:
+        seen = self._look(late_s)
+        fault = Fault(FaultCode.ABORTED, "by request") if self._request.abort else assess(seen)
+        if fault is not None:
+            self._latch(fault)
+        elif self._trip is None and seen.state is not State.OFFLINE:
+            self._kick_watchdog()
+        if self._ticks % HEARTBEAT_EVERY == 0:
+            self._send_heartbeat(seen)
+        self._ticks += 1
+        with self._changed:
+            self._seen = seen
+            self._changed.notify_all()
+
+    def _look(self, late_s: float) -> Snapshot:
+        arm, arm_problem = _asked(self._sources.arm.state)
+        charger, charger_problem = _asked(self._sources.charger.status)
+        scanner = self._sources.scanner.health()
+        facts = self._facts
+        deadline_s = facts.deadline_s
+        overdue = ""
+        if deadline_s is not None and self._clock.now_s() > deadline_s:
+            overdue = f"{facts.state.name} took longer than allowed"
+        return Snapshot(
+            facts.state, arm, arm_problem, charger, charger_problem, scanner.up, scanner.detail, overdue, late_s
+        )
+
+    def _latch(self, fault: Fault) -> None:
+        """Stop the arm at once; keep the first trip."""
+        with self._changed:
+            if self._trip is not None:
+                return
+            self._trip = fault
+            self._changed.notify_all()
+        log.error("trip in %s: %s", self._facts.state.name, fault)
+        try:
+            self._sources.arm.stop()
+        except PortdockError as error:
+            log.error("the arm did not take the stop: %s; its watchdog stops it", error)
+
+    def _kick_watchdog(self) -> None:
+        try:
+            self._sources.arm.kick_watchdog()
+        except DriverError as error:
+            self._latch(Fault(FaultCode.ARM_LINK_LOST, error.cause))
+
+    def _send_heartbeat(self, seen: Snapshot) -> None:
+        try:
+            self._sources.charger.heartbeat(self._beat(seen))
+        except DriverError as error:
+            log.debug("heartbeat not sent: %s", error)  # the charger's silence trips through status()
+
+    def _beat(self, seen: Snapshot) -> Heartbeat:
+        facts, arm = self._facts, seen.arm
+        normal = arm is not None and arm.safety in (SafetyMode.NORMAL, SafetyMode.REDUCED)
+        protective = arm is not None and arm.safety is SafetyMode.PROTECTIVE_STOP
+        bits = (
+            normal,
+            protective,
+            facts.tool_holds_plug,
+            facts.state in (State.READY, State.SELF_CHECK),
+            facts.clear_of_vehicle,
+            facts.mated,
+            seen.scanner_up,
+            arm is not None,
+            arm is not None and arm.moving,
+        )
+        mode = 15 if self._trip is not None else facts.mode
+        flags = sum(1 << k for k, bit in enumerate(bits) if bit)
+        return Heartbeat(mode, int(facts.state), flags, facts.cycle_id)
+
+
+def _asked(ask: Callable[[], Value]) -> tuple[Value | None, str]:
+    try:
+        return ask(), ""
+    except DriverError as error:
+        return None, error.cause
