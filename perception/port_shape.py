@@ -1,0 +1,364 @@
+"""A vehicle inlet as numbers: outlines, depths, contacts; and the closed surface mesh that they describe.
+
+Port frame: origin on the rim plane at the centre of the AC section, +z out of the vehicle, +y up, +x right for someone
+who looks into the port. A *depth* is counted from the rim plane into the vehicle, so it is -z. Every outline is convex;
+what is not (a latch slot, a key) is a ``Key`` that is cut or added. Knows nothing of the vehicle around the inlet.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Literal, TypeAlias
+
+import numpy as np
+from manifold3d import CrossSection, FillRule, Manifold
+from numpy.typing import NDArray
+
+from perception.errors import MeshError
+from perception.geometry import Array, Pose
+
+Ints = NDArray[np.int64]
+Point2 = tuple[float, float]
+
+CHORD_ERROR_M = 0.02e-3
+"""How far a tessellated curved wall may lie inside the true one."""
+_MM = 1000.0  # the solid modeller works in millimetres: its tolerances suit numbers of order one
+_WALL_MM = 3.0  # thickness behind the deepest floor; never seen
+_CLEAR_MM = 1.0  # by how much a cut stands proud of the surface that it opens
+
+
+@dataclass(frozen=True, slots=True)
+class Disc:
+    """A circle, if ``flat_top_m`` is given cut off by a horizontal line that high above its centre."""
+
+    diameter_m: float
+    centre_m: Point2 = (0.0, 0.0)
+    flat_top_m: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class RoundedRect:
+    """A rectangle with rounded corners; a stadium where the radius is half the smaller side."""
+
+    width_m: float
+    height_m: float
+    corner_radius_m: float
+    centre_m: Point2 = (0.0, 0.0)
+
+
+@dataclass(frozen=True, slots=True)
+class Hull:
+    """The smallest convex outline around several."""
+
+    parts: tuple[Outline, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Common:
+    """What several outlines have in common."""
+
+    parts: tuple[Outline, ...]
+
+
+Outline: TypeAlias = Disc | RoundedRect | Hull | Common
+
+
+@dataclass(frozen=True, slots=True)
+class Hole:
+    """A bolt hole through the flange."""
+
+    centre_m: Point2
+    diameter_m: float
+
+
+@dataclass(frozen=True, slots=True)
+class Flange:
+    """The mounting plate; its front lies ``front_depth_m`` behind the rim plane."""
+
+    outline: Outline
+    front_depth_m: float
+    thickness_m: float = 0.004
+    holes: tuple[Hole, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Cavity:
+    """The opening that the plug's shroud enters, down to the floor."""
+
+    outline: Outline
+    depth_m: float
+
+
+@dataclass(frozen=True, slots=True)
+class Insert:
+    """A contact carrier that rises from the cavity's floor to ``face_depth_m`` below the rim plane."""
+
+    outline: Outline
+    face_depth_m: float
+
+
+@dataclass(frozen=True, slots=True)
+class Contact:
+    """A pin standing in a well of its insert, or a socket: a bare bore."""
+
+    name: str
+    centre_m: Point2
+    diameter_m: float
+    tip_depth_m: float
+    """Of a pin: where it ends. Of a socket: where the bore begins."""
+    kind: Literal["pin", "socket"] = "pin"
+    well_diameter_m: float | None = None
+    """None: the pin stands free in the cavity."""
+    floor_depth_m: float | None = None
+    """Bottom of the well or bore; None: the cavity's floor."""
+    tip_chamfer_m: float = 0.0005
+
+
+@dataclass(frozen=True, slots=True)
+class Key:
+    """A feature that breaks the symmetry: a slot cut away or a ridge added, from one depth to another (m)."""
+
+    name: str
+    kind: Literal["slot", "ridge"]
+    outline: Outline
+    from_depth_m: float
+    to_depth_m: float
+
+
+@dataclass(frozen=True, slots=True)
+class Finish:
+    """What moulding adds to a drawing: taper of the walls and rounding of the edges."""
+
+    draft_rad: float = 0.0
+    edge_radius_m: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class PortShape:
+    """One inlet. Lengths in metres, in the port frame."""
+
+    name: str
+    rim: Outline
+    """Outer outline of the collar that ends in the rim plane."""
+    cavity: Cavity
+    flange: Flange | None = None
+    inserts: tuple[Insert, ...] = ()
+    contacts: tuple[Contact, ...] = ()
+    keys: tuple[Key, ...] = ()
+    finish: Finish = Finish()
+
+    @property
+    def back_depth_m(self) -> float:
+        """Depth of the body's hidden back face."""
+        floors = [c.floor_depth_m for c in self.contacts if c.floor_depth_m is not None]
+        return max([self.cavity.depth_m, *floors]) + _WALL_MM / _MM
+
+
+@dataclass(frozen=True, slots=True)
+class PortDescription:
+    """An inlet, how its plug mates with it, and how far the numbers can be trusted."""
+
+    name: str
+    title: str
+    shape: PortShape
+    mated_depth_m: float
+    """How far the plug's foremost face lies below the rim plane when it is fully mated."""
+    capture_radius_m: float
+    """Largest sideways offset that the lead-in chamfers take up."""
+    capture_tilt_rad: float
+    """Largest angle between the axes that they take up; the same holds for roll."""
+    grade: Literal["A", "B", "P", "M"]
+    """Of the numbers that decide the pose: A two CAD models agree, B one model, P published text, M from memory."""
+    teach_before_docking: bool
+    """True where the contacts are not known to a tenth of a millimetre."""
+    fixed_parts: tuple[str, ...] = ("rim", "cavity", "insert", "well", "pin", "key")
+    """Parts of ``PARTS`` that the standard fixes; the others vary between makes and must not decide the pose."""
+
+    @property
+    def T_port_tcp(self) -> Pose:
+        """Pose of the mated plug: TCP z into the vehicle, TCP x along port x, origin on the plug's foremost face."""
+        return Pose(np.diag([1.0, -1.0, -1.0]), np.array([0.0, 0.0, -self.mated_depth_m]))
+
+
+PARTS = ("flange", "rim", "cavity", "floor", "insert", "well", "pin", "key")
+"""Names of the surface parts, in the order of ``PortMesh.part``."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PortMesh:
+    """A closed triangle mesh whose faces know the part of the inlet they belong to."""
+
+    vertices: Array
+    """(V, 3) in metres, port frame."""
+    faces: Ints
+    """(F, 3) vertex numbers, counter-clockwise seen from outside."""
+    part: Ints
+    """(F,) index into ``PARTS``."""
+
+
+def build_mesh(shape: PortShape) -> tuple[Array, Ints]:
+    """The inlet's surface: vertices (V, 3) in metres and faces (F, 3). Raises MeshError as ``build_parts`` does."""
+    mesh = build_parts(shape)
+    return mesh.vertices, mesh.faces
+
+
+def build_parts(shape: PortShape) -> PortMesh:
+    """The inlet's surface with the part of each face. Raises MeshError where the numbers enclose no solid."""
+    maker = _Maker(shape.finish)
+    solid = maker.body(shape)
+    if solid.is_empty():
+        raise MeshError(f"the dimensions of port {shape.name!r} enclose no solid", remedy="Check its description.")
+    mesh = solid.to_mesh64()
+    vertices = np.asarray(mesh.vert_properties, dtype=np.float64)[:, :3] / _MM
+    faces = np.asarray(mesh.tri_verts, dtype=np.int64)
+    lengths = np.diff(np.asarray(mesh.run_index)) // 3
+    part = np.repeat([maker.part_of.get(int(k), 0) for k in mesh.run_original_id], lengths)
+    return PortMesh(vertices, faces, _name_floors(vertices, faces, part))
+
+
+def _name_floors(vertices: Array, faces: Ints, part: Ints) -> Ints:
+    """Cavity and well faces that look out of the vehicle are floor."""
+    a, b, c = (vertices[faces[:, k]] for k in range(3))
+    normal = np.cross(b - a, c - a)
+    looks_out = normal[:, 2] > 0.9 * np.linalg.norm(normal, axis=1)
+    inside = np.isin(part, [PARTS.index("cavity"), PARTS.index("well")])
+    return np.where(inside & looks_out, PARTS.index("floor"), part)
+
+
+class _Maker:
+    """Builds the solids of one shape and remembers which part each of them is (by the modeller's ids)."""
+
+    def __init__(self, finish: Finish) -> None:
+        self.part_of: dict[int, int] = {}
+        self.edge = finish.edge_radius_m * _MM
+        self.taper = float(np.tan(finish.draft_rad))
+
+    def body(self, shape: PortShape) -> Manifold:
+        """Flange and collar, minus cavity, plus inserts with their wells, plus pins and keys."""
+        floor, back = shape.cavity.depth_m * _MM, shape.back_depth_m * _MM
+        solid = self.raised("rim", shape.rim, 0.0, back, taper=False)
+        if shape.flange is not None:
+            solid += self.flange(shape.flange)
+        solid -= self.sunk("cavity", shape.cavity.outline, 0.0, floor)
+        for insert in shape.inserts:
+            solid += self.raised("insert", insert.outline, insert.face_depth_m * _MM, floor + _CLEAR_MM)
+        for key in shape.keys:
+            top, bottom = key.from_depth_m * _MM, key.to_depth_m * _MM
+            part = self.prism("key", key.outline, [(top, 0.0), (bottom, 0.0)])
+            solid = solid - part if key.kind == "slot" else solid + part
+        for contact in shape.contacts:
+            solid = self.with_contact(solid, shape, contact)
+        return solid
+
+    def flange(self, flange: Flange) -> Manifold:
+        """The plate with its bolt holes."""
+        front, back = flange.front_depth_m * _MM, (flange.front_depth_m + flange.thickness_m) * _MM
+        plate = self.raised("flange", flange.outline, front, back, taper=False)
+        for hole in flange.holes:
+            cut = [(front - _CLEAR_MM, 0.0), (back + _CLEAR_MM, 0.0)]
+            plate -= self.prism("flange", Disc(hole.diameter_m, hole.centre_m), cut)
+        return plate
+
+    def with_contact(self, solid: Manifold, shape: PortShape, contact: Contact) -> Manifold:
+        """The solid with one contact's well and pin, or bore."""
+        floor = (contact.floor_depth_m or shape.cavity.depth_m) * _MM
+        tip, disc = contact.tip_depth_m * _MM, Disc(contact.diameter_m, contact.centre_m)
+        if contact.kind == "socket":
+            return solid - self.sunk("well", disc, tip, floor)
+        if contact.well_diameter_m is not None and shape.inserts:
+            face = _face_depth(shape, contact) * _MM
+            solid -= self.sunk("well", Disc(contact.well_diameter_m, contact.centre_m), face, floor)
+        chamfer = contact.tip_chamfer_m * _MM
+        pin = [(tip, -chamfer), (tip + chamfer, 0.0), (floor + _CLEAR_MM, 0.0)]
+        return solid + self.prism("pin", disc, pin)
+
+    def raised(self, part: str, outline: Outline, top: float, bottom: float, *, taper: bool = True) -> Manifold:
+        """A solid that rises to depth ``top``: rounded edge there, wider towards its root. Depths in mm."""
+        slope = self.taper if taper else 0.0
+        edge = [(top + d, -g) for d, g in self.rounding()]
+        return self.prism(part, outline, [*edge, (bottom, slope * (bottom - top))])
+
+    def sunk(self, part: str, outline: Outline, top: float, bottom: float) -> Manifold:
+        """A cut that opens at depth ``top``: rounded mouth there, narrower towards its floor. Depths in mm."""
+        edge = [(top + d, g) for d, g in self.rounding()]
+        above = (top - _CLEAR_MM, edge[0][1])
+        return self.prism(part, outline, [above, *edge, (bottom, -self.taper * (bottom - top))])
+
+    def rounding(self) -> list[tuple[float, float]]:
+        """(further depth, offset) along a rounded edge, from the face to the wall."""
+        if self.edge < 1e-6:
+            return [(0.0, 0.0)]
+        turn = np.linspace(0.0, np.pi / 2, 4)
+        return [(self.edge * (1 - np.cos(a)), self.edge * (1 - np.sin(a))) for a in turn]
+
+    def prism(self, part: str, outline: Outline, stations: Sequence[tuple[float, float]]) -> Manifold:
+        """The solid through ``outline`` grown by each station's offset at its depth: (depth, offset) in mm."""
+        rings = [_ring(outline, depth, grow) for depth, grow in stations]
+        slabs = [Manifold.hull_points(np.vstack(pair)) for pair in pairwise(rings)]
+        for slab in slabs:
+            self.part_of[slab.original_id()] = PARTS.index(part)
+        return sum(slabs[1:], slabs[0])
+
+
+def _face_depth(shape: PortShape, contact: Contact) -> float:
+    """Face depth of the insert whose outline holds the contact; the nearest to the rim if none does."""
+    for insert in shape.inserts:
+        low_x, low_y, high_x, high_y = _section(insert.outline, 0.0).bounds()
+        x, y = contact.centre_m[0] * _MM, contact.centre_m[1] * _MM
+        if low_x <= x <= high_x and low_y <= y <= high_y:
+            return insert.face_depth_m
+    return min(insert.face_depth_m for insert in shape.inserts)
+
+
+def _ring(outline: Outline, depth: float, grow: float) -> Array:
+    """Corner points (N, 3) in mm of the outline grown by ``grow`` mm, at ``depth`` mm."""
+    polygons = _section(outline, grow).to_polygons()
+    if not polygons:
+        raise MeshError("an outline of the port vanishes", remedy="Check its diameters, sides and radii.")
+    xy = np.vstack(polygons)
+    return np.column_stack([xy, np.full(len(xy), -depth)])
+
+
+def _section(outline: Outline, grow: float) -> CrossSection:
+    """The outline as a plane region in mm, moved outwards by ``grow`` mm."""
+    match outline:
+        case Disc(diameter, centre, flat):
+            circle = _polygon(_arc(diameter * _MM / 2 + grow, centre))
+            if flat is None:
+                return circle
+            reach = diameter * _MM + abs(grow)
+            keep = CrossSection.square((4 * reach, 4 * reach)).translate((-2 * reach, -4 * reach))
+            return circle ^ keep.translate((centre[0] * _MM, (centre[1] + flat) * _MM + grow))
+        case RoundedRect(width, height, radius, centre):
+            return _rounded_rect(width * _MM + 2 * grow, height * _MM + 2 * grow, radius * _MM + grow, centre)
+        case Hull(parts):
+            return CrossSection.batch_hull([_section(part, grow) for part in parts])
+        case Common(parts):
+            region = _section(parts[0], grow)
+            for part in parts[1:]:
+                region = region ^ _section(part, grow)
+            return region
+
+
+def _rounded_rect(width: float, height: float, radius: float, centre: Point2) -> CrossSection:
+    """A rectangle with rounded corners as the hull of its four corner circles; all in mm but ``centre`` (m)."""
+    radius = float(np.clip(radius, 1e-3, min(width, height) / 2))
+    x, y = width / 2 - radius, height / 2 - radius
+    corners = [(centre[0] + sx * x / _MM, centre[1] + sy * y / _MM) for sx in (-1, 1) for sy in (-1, 1)]
+    return CrossSection.batch_hull([_polygon(_arc(radius, corner)) for corner in corners])
+
+
+def _arc(radius: float, centre: Point2) -> Array:
+    """Points (N, 2) in mm on a circle of ``radius`` mm, as many as the chord error asks for."""
+    if radius <= 0:
+        raise MeshError("a circle of the port has no size", remedy="Check its diameters, drafts and edge radii.")
+    ratio = min(CHORD_ERROR_M * _MM / radius, 0.2)
+    count = 4 * int(np.ceil(np.pi / np.arccos(1 - ratio) / 4))
+    angle = np.arange(count) * (2 * np.pi / count)
+    return np.column_stack([np.cos(angle), np.sin(angle)]) * radius + np.array(centre) * _MM
+
+
+def _polygon(points: Array) -> CrossSection:
+    return CrossSection([points], FillRule.Positive)
