@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from typing import TypeVar
 
 from controller.faults import Fault, FaultCode, MissionFault
-from controller.states import State
+from controller.states import PAUSES, STOPS, Event, State
 from drivers.base import (
     Arm,
     ArmState,
@@ -39,6 +39,9 @@ TICK_S = 0.01
 HEARTBEAT_EVERY = 5
 STALL_S = 0.5
 """A tick later than this means that the host was suspended or starved."""
+
+PAUSABLE_STATES = frozenset({State.STAGING, State.SCANNING, State.LOCATING, State.APPROACHING, State.HOLD})
+"""Before contact a person in the zone or a speed slider at 0 only pauses the mission."""
 
 MOVING_STATES = frozenset(
     {State.STAGING, State.SCANNING, State.APPROACHING, State.INSERTING, State.VERIFYING, State.RETREATING}
@@ -91,13 +94,24 @@ def assess(seen: Snapshot) -> Fault | None:
     return None
 
 
+def pause_reason(seen: Snapshot) -> str | None:
+    """Why the mission should wait in HOLD, where that is possible. Pure."""
+    if seen.arm is None or seen.state not in PAUSABLE_STATES:
+        return None
+    if seen.arm.safety is SafetyMode.SAFEGUARD_STOP:
+        return "somebody is in the protected zone"
+    if seen.arm.speed_scaling <= 0.0 and seen.arm.program_running:
+        return "the speed slider is at 0"
+    return None
+
+
 def _arm_fault(arm: ArmState, state: State) -> Fault | None:
     match arm.safety:
         case SafetyMode.ROBOT_ESTOP | SafetyMode.SYSTEM_ESTOP:
             return Fault(FaultCode.EMERGENCY_STOP, "pressed at the robot")
         case SafetyMode.PROTECTIVE_STOP:
             return Fault(FaultCode.PROTECTIVE_STOP, "the robot stopped itself")
-        case SafetyMode.SAFEGUARD_STOP:
+        case SafetyMode.SAFEGUARD_STOP if state not in PAUSABLE_STATES:
             return Fault(FaultCode.SAFEGUARD_STOP, "the protected zone was entered")
         case SafetyMode.VIOLATION | SafetyMode.FAULT | SafetyMode.RECOVERY:
             return Fault(FaultCode.ARM_NOT_READY, f"safety mode {arm.safety.name}")
@@ -127,6 +141,14 @@ class Facts:
     tool_holds_plug: bool = True
     clear_of_vehicle: bool = True
     mated: bool = False
+
+
+class StopRequested(Exception):
+    """Raised by ``wait`` in a state that a stop request ends."""
+
+
+class PauseRequested(Exception):
+    """Raised by ``wait`` in a state that can pause; the text says why."""
 
 
 @dataclass(slots=True)
@@ -208,13 +230,26 @@ class Supervisor:
         """Whether somebody asked to finish safely."""
         return self._request.stop
 
+    @property
+    def pause(self) -> str | None:
+        """Why the mission should be in HOLD now."""
+        return None if self._seen is None else pause_reason(self._seen)
+
     def wait(self, until: Callable[[], bool], timeout_s: float | None = None) -> bool:
-        """Wait for ``until``, looked at each tick. False after ``timeout_s`` of mission time. Raises MissionFault."""
+        """Wait for ``until``, looked at each tick; False after ``timeout_s`` of mission time.
+
+        Raises MissionFault on a trip; StopRequested and PauseRequested in states that they end.
+        """
         end_s = None if timeout_s is None else self._clock.now_s() + timeout_s
         with self._changed:
             while True:
                 if self._trip is not None:
                     raise MissionFault(self._trip.code, self._trip.detail)
+                state = self._facts.state
+                if self._request.stop and (state, Event.STOP) in STOPS:
+                    raise StopRequested
+                if self.pause is not None and (state, Event.PAUSED) in PAUSES:
+                    raise PauseRequested(self.pause)
                 if until():
                     return True
                 if end_s is not None and self._clock.now_s() >= end_s:

@@ -1,0 +1,205 @@
+"""One robot cell as the mission uses it: three devices, a clock, and the one way by which commands reach a device."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable
+from concurrent.futures import Future
+from dataclasses import dataclass
+from typing import Protocol
+
+from controller.commands import (
+    Announce,
+    AskCharger,
+    Command,
+    Comply,
+    Laser,
+    MoveJoints,
+    MoveLinear,
+    MoveVelocity,
+    StopMotion,
+    ZeroForce,
+)
+from controller.faults import FaultCode, MissionFault
+from controller.planning import ReachCheck
+from controller.safety import Limits, Situation, check
+from controller.states import State
+from controller.supervisor import Supervisor
+from drivers.base import (
+    Arm,
+    ArmState,
+    Charger,
+    ChargerRequest,
+    ChargerStatus,
+    Clock,
+    LinkLostError,
+    RequestResult,
+    Scanner,
+)
+from perception.errors import PortdockError
+from perception.estimate import PortEstimate, Prior
+from perception.geometry import Pose
+from perception.scan import Cloud
+
+log = logging.getLogger(__name__)
+
+
+class Locator(Protocol):
+    """Perception in its worker process."""
+
+    def submit(self, cloud: Cloud, prior: Prior) -> Future[PortEstimate]: ...
+
+
+class CommandLog(Protocol):
+    """What the recorder offers to the gate."""
+
+    def command(self, name: str, detail: str, allowed: bool, reason: str) -> None: ...
+
+
+@dataclass(slots=True)
+class Cell:
+    """The devices, and ``do``: the only place from which a command reaches a driver."""
+
+    arm: Arm
+    scanner: Scanner
+    charger: Charger
+    locator: Locator
+    supervisor: Supervisor
+    clock: Clock
+    wall: Clock
+    limits: Limits
+    reach: ReachCheck
+    records: CommandLog
+    T_base_port: Pose | None = None
+    """The port pose that the gate holds motions against once there is a plan."""
+    _request_sequence: int = 0
+
+    # --- commands
+
+    def do(self, command: Command) -> None:
+        """Ask the gate, then the driver. Raises MissionFault (gate-refused) or what the driver's refusal means."""
+        refusal = check(command, self.situation(), self.limits)
+        name, detail = type(command).__name__, _described(command)
+        self.records.command(name, detail, refusal is None, "" if refusal is None else str(refusal))
+        if refusal is not None:
+            raise MissionFault(FaultCode.GATE_REFUSED, f"{name} ({detail}): {refusal}")
+        try:
+            self._give(command)
+        except LinkLostError as error:
+            raise MissionFault(_LINK_OF.get(type(command), FaultCode.ARM_LINK_LOST), error.cause) from error
+        except PortdockError as error:
+            raise MissionFault(FaultCode.MOTION_FAILED, error.cause) from error
+
+    def situation(self) -> Situation:
+        """What the gate judges by, as fresh as the links have it."""
+        facts = self.supervisor.facts
+        return Situation(facts.state, self.arm_state(), self.charger_status(), self.T_base_port, facts.mated)
+
+    def _give(self, command: Command) -> None:
+        match command:
+            case MoveJoints(target, speed, acceleration):
+                self.arm.move_joints(target, speed, acceleration)
+            case MoveLinear(target, speed, acceleration):
+                self.arm.move_linear(target, speed, acceleration)
+            case MoveVelocity(velocity, acceleration):
+                self.arm.move_velocity(velocity, acceleration)
+            case Comply(compliance):
+                self.arm.comply(compliance)
+            case StopMotion():
+                self.arm.stop()
+            case ZeroForce():
+                self.arm.zero_force_sensor()
+            case Laser(on=True):
+                self.scanner.start()
+            case Laser(on=False):
+                self.scanner.stop()
+            case AskCharger(request):
+                self._request_sequence = self.charger.request(request)
+            case Announce(pose):
+                self.charger.publish(pose)
+
+    # --- what the devices say
+
+    def arm_state(self) -> ArmState | None:
+        """The newest arm state, None when it is not fresh."""
+        try:
+            return self.arm.state()
+        except LinkLostError:
+            return None
+
+    def charger_status(self) -> ChargerStatus | None:
+        """The newest charger status, None when it is not fresh."""
+        try:
+            return self.charger.status()
+        except LinkLostError:
+            return None
+
+    def charger_says(self, wanted: Callable[[ChargerStatus], bool]) -> bool:
+        """Whether a fresh charger status fulfils ``wanted``."""
+        status = self.charger_status()
+        return status is not None and wanted(status)
+
+    # --- commands with an end
+
+    def travel(self, command: MoveJoints | MoveLinear, timeout_s: float) -> None:
+        """Give a motion and wait for its end. Raises MissionFault when the arm gives it up or time runs out."""
+        self.do(command)
+        if not self.supervisor.wait(lambda: not self.arm.motion().running, timeout_s):
+            raise MissionFault(FaultCode.MOTION_FAILED, f"{type(command).__name__} did not end in {timeout_s:.0f} s")
+        progress = self.arm.motion()
+        if progress.failed:
+            raise MissionFault(FaultCode.MOTION_FAILED, progress.detail or f"{type(command).__name__} failed")
+
+    def ask(self, request: ChargerRequest, timeout_s: float) -> RequestResult:
+        """Give the charger a request and wait for its answer."""
+        self.do(AskCharger(request))
+        sequence = self._request_sequence
+        open_results = (RequestResult.PENDING, RequestResult.ACCEPTED, RequestResult.BUSY)
+        self.supervisor.wait(lambda: self.charger.result(sequence) not in open_results, timeout_s)
+        return self.charger.result(sequence)
+
+    def settle(self, still_m_s: float, timeout_s: float) -> None:
+        """Wait until the TCP is at rest."""
+
+        def still() -> bool:
+            state = self.arm_state()
+            return state is not None and bool(abs(state.tcp_speed[:3]).max() < still_m_s) and not state.moving
+
+        if not self.supervisor.wait(still, timeout_s):
+            raise MissionFault(FaultCode.MOTION_FAILED, "the arm does not come to rest")
+
+    def enter(self, state: State, stay_s: float | None) -> None:
+        """Tell supervisor and gate that the mission is in ``state`` now."""
+        self.supervisor.enter(state, stay_s)
+
+
+_LINK_OF: dict[type, FaultCode] = {
+    Laser: FaultCode.SCANNER_LINK_LOST,
+    AskCharger: FaultCode.CHARGER_LINK_LOST,
+    Announce: FaultCode.CHARGER_LINK_LOST,
+}
+
+
+def _described(command: Command) -> str:
+    """A command's arguments, short, for log and recording."""
+    match command:
+        case MoveJoints(target, speed, _):
+            return f"to {_millimetres(target)} mm, {speed:.2f} rad/s"
+        case MoveLinear(target, speed, _):
+            return f"to {_millimetres(target)} mm, {speed * 1000:.0f} mm/s"
+        case MoveVelocity(velocity, _):
+            return f"{[round(float(v) * 1000, 1) for v in velocity[:3]]} mm/s"
+        case Comply(compliance):
+            return f"wrench {[round(w, 1) for w in compliance.wrench]}"
+        case Laser(on):
+            return "on" if on else "off"
+        case AskCharger(request):
+            return request.name
+        case Announce(pose):
+            return "none" if pose is None else f"{_millimetres(pose.T_base_port)} mm"
+        case StopMotion() | ZeroForce():
+            return ""
+
+
+def _millimetres(pose: Pose) -> list[float]:
+    return [round(float(v) * 1000, 1) for v in pose.translation]
