@@ -1,0 +1,99 @@
+"""``python -m mocks.scanner --link PATH``: a scanner at byte level on a pty behind a symlink, until SIGTERM.
+
+Prints one JSON line, ``{"device": PATH, "protocol": ..., "pid": ...}``, when it listens. What it sees (``--source``):
+
+- ``groove``: a made-up panel, no world needed;
+- ``world``: ray-cast from the mock world in ``--world DIR``. The folder holds ``world.json`` (WorldSpec.save) and
+  ``blackboard`` (Blackboard.create), both made before this process starts;
+- any other value: the path of a recorded sweep (.npz, see mocks/scanner/sources.py).
+
+Without ``--baud`` the device speaks at whatever rate the client has set; with it, a client at another rate gets
+garbage.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import signal
+import sys
+import threading
+from pathlib import Path
+
+import numpy as np
+
+from mocks.scanner.emulated_clock import EmulatedClock
+from mocks.scanner.paced_wire import PacedWire
+from mocks.scanner.pty_line import PtyLine
+from mocks.scanner.server import serve
+from mocks.scanner.sources import GrooveSource, RecordedSource, Source
+from mocks.scanner.streaming_device import StreamingDevice, StreamTiming
+from mocks.scanner.wire_faults import FaultRates, WireFaults
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run until SIGTERM, SIGINT or end of the parent's pipe. Returns the exit code."""
+    options = _parser().parse_args(arguments)
+    stopping = threading.Event()
+    for number in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(number, lambda *_: stopping.set())
+    rng = np.random.default_rng(options.seed)
+    source, clock = _source(options)
+    line = PtyLine(options.link)
+    rates = FaultRates(options.lost, options.doubled, options.flipped, options.stall_at_s, options.stall_s)
+    buffer_bytes = int(options.buffer_bytes * max(1.0, clock.scale))  # the client's wall time to react stays the same
+    wire = PacedWire(line, WireFaults(rates, rng), options.baud, buffer_bytes)
+    timing = StreamTiming(
+        options.rate_hz,
+        options.exposure_s,
+        options.latency_s,
+        options.jitter_s,
+        options.clock_offset_s,
+        options.drift_ppm,
+    )
+    device = StreamingDevice(source, wire, timing, clock, rng)
+    signal.signal(signal.SIGUSR1, lambda *_: line.unplug())
+    signal.signal(signal.SIGUSR2, lambda *_: None if line.plugged_in else line.plug_in())
+    line.plug_in()
+    sys.stdout.write(json.dumps({"device": str(options.link), "protocol": "wide_xz", "pid": os.getpid()}) + "\n")
+    sys.stdout.flush()
+    try:
+        serve(device, line, wire, clock, stopping)
+    finally:
+        line.unplug()
+    return 0
+
+
+def _source(options: argparse.Namespace) -> tuple[Source, EmulatedClock]:
+    if options.source == "groove":
+        return GrooveSource(), EmulatedClock.of_wall(options.time_scale)
+    return RecordedSource(Path(options.source)), EmulatedClock.of_wall(options.time_scale)
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="mocks.scanner", description="A mock laser scanner on a pty.")
+    add = parser.add_argument
+    add("--link", type=Path, required=True, help="symlink to make: the device name that clients open")
+    add("--source", default="groove", help="groove, world, or the path of a recorded sweep (.npz)")
+    add("--world", type=Path, help="folder of the mock world, for --source world")
+    add("--baud", type=int, help="the device's own baud rate; default: the client's")
+    add("--seed", type=int, default=0)
+    add("--time-scale", type=float, default=1.0, help="emulated seconds per second; with a world, its own is used")
+    add("--rate-hz", type=float, default=70.0, help="profiles per emulated second")
+    add("--exposure-s", type=float, default=500e-6)
+    add("--latency-s", type=float, default=0.0, help="from the end of exposure to the first bit")
+    add("--jitter-s", type=float, default=0.0, help="further delay of each frame, uniform up to this")
+    add("--clock-offset-s", type=float, default=100.0)
+    add("--drift-ppm", type=float, default=0.0)
+    add("--buffer-bytes", type=int, default=65536, help="what the client's UART and kernel hold before bytes are lost")
+    add("--lost", type=float, default=0.0, help="fault: probability that a byte is lost")
+    add("--doubled", type=float, default=0.0, help="fault: probability that a byte comes twice")
+    add("--flipped", type=float, default=0.0, help="fault: probability that a bit of a byte flips")
+    add("--stall-at-s", type=float, help="fault: silence from this emulated time on")
+    add("--stall-s", type=float, default=float("inf"), help="fault: how long the silence lasts")
+    return parser
+
+
+if __name__ == "__main__":
+    sys.exit(main())

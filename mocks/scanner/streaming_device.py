@@ -1,0 +1,138 @@
+"""A streaming scanner: a laser that is on or off, an exposure every period, a frame on the wire for each.
+
+Profile k is exposed at an exact emulated time; its geometry belongs to that time however late the machine that
+emulates it is. A separate thread computes the profiles, so that a slow ray-cast never stalls the line. A device that
+has fallen too far behind skips profiles, and the gap shows in the sequence numbers.
+"""
+
+from __future__ import annotations
+
+import queue
+import threading
+from dataclasses import dataclass
+
+import numpy as np
+
+from mocks.scanner import wide_xz
+from mocks.scanner.emulated_clock import EmulatedClock
+from mocks.scanner.paced_wire import PacedWire
+from mocks.scanner.sources import Source
+
+MAX_LAG_S = 0.5
+POLL_S = 0.001
+
+
+@dataclass(frozen=True, slots=True)
+class StreamTiming:
+    """The device's own time, and what delays its bytes. Emulated seconds."""
+
+    rate_hz: float = 70.0
+    exposure_s: float = 500e-6
+    latency_s: float = 0.0
+    """From the end of exposure to the first bit: processing."""
+    jitter_s: float = 0.0
+    """Further delay of each frame, uniform between 0 and this."""
+    clock_offset_s: float = 100.0
+    """What the device's clock shows at world time 0."""
+    clock_drift_ppm: float = 0.0
+
+    def device_time_s(self, time_s: float) -> float:
+        """What the device's clock shows at a world time."""
+        return self.clock_offset_s + time_s * (1.0 + self.clock_drift_ppm * 1e-6)
+
+
+class StreamingDevice:
+    """The wide XZ profiler behind a paced wire."""
+
+    def __init__(
+        self,
+        source: Source,
+        wire: PacedWire,
+        timing: StreamTiming,
+        clock: EmulatedClock,
+        rng: np.random.Generator,
+    ) -> None:
+        self._source = source
+        self._wire = wire
+        self._timing = timing
+        self._clock = clock
+        self._rng = rng
+        self._rest = b""
+        self._frames: queue.Queue[tuple[float, bytes]] = queue.Queue(maxsize=8)
+        self._laser_off = threading.Event()
+        self._thread: threading.Thread | None = None
+        self._number = 0
+        self.skipped = 0
+
+    @property
+    def laser_on(self) -> bool:
+        """Whether profiles are made."""
+        return self._thread is not None
+
+    def receive(self, data: bytes) -> None:
+        """Bytes from the client."""
+        commands, self._rest = wide_xz.split_commands(self._rest + data)
+        for command in commands:
+            if command == wide_xz.LASER_ON:
+                self._start()
+            elif command == wide_xz.LASER_OFF:
+                self.stop()
+            self._wire.send(wide_xz.answer(command), self._clock.now_s())
+
+    def collect(self) -> None:
+        """Hand profiles that are ready to the wire."""
+        while True:
+            try:
+                ready_s, frame = self._frames.get_nowait()
+            except queue.Empty:
+                return
+            self._wire.send(frame, ready_s)
+
+    def stop(self) -> None:
+        """Laser off: frames that are complete still leave, then the acknowledgement."""
+        if self._thread is None:
+            return
+        self._laser_off.set()
+        while self._thread.is_alive():
+            self.collect()
+            self._thread.join(POLL_S)
+        self.collect()
+        self._thread = None
+
+    def _start(self) -> None:
+        if self._thread is None:
+            self._source.begin_sweep()
+            self._laser_off.clear()
+            self._thread = threading.Thread(
+                target=self._expose, args=(self._clock.now_s(),), name="optics", daemon=True
+            )
+            self._thread.start()
+
+    def _expose(self, began_s: float) -> None:
+        timing, count = self._timing, 0
+        while not self._laser_off.is_set():
+            time_s = began_s + count / timing.rate_hz
+            count += 1
+            number, self._number = self._number, self._number + 1
+            while (wait_s := time_s + timing.exposure_s / 2 - self._clock.now_s()) > 0:
+                if self._laser_off.wait(min(self._clock.wall_s(wait_s), 0.05)):
+                    return
+            if -wait_s > MAX_LAG_S:
+                self.skipped += 1
+                continue
+            line = self._source.line(number, time_s)
+            while line is None:
+                if self._laser_off.wait(POLL_S):
+                    return
+                line = self._source.line(number, time_s)
+            frame = wide_xz.encode(line, number, timing.device_time_s(time_s))
+            delay_s = timing.latency_s + timing.jitter_s * self._rng.random()
+            self._hand_over(time_s + timing.exposure_s / 2 + delay_s, frame)
+
+    def _hand_over(self, ready_s: float, frame: bytes) -> None:
+        while not self._laser_off.is_set():
+            try:
+                self._frames.put((ready_s, frame), timeout=0.05)
+                return
+            except queue.Full:
+                continue
