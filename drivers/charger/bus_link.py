@@ -1,0 +1,261 @@
+"""One CAN bus that is kept open: a thread that reads, a thread that writes, and re-opening with back-off.
+
+Neither thread decides anything. The reader hands each data frame to a callback; the writer empties a mailbox that
+holds at most one frame for each identifier, so that a caller never waits for a bus that does not take frames, and a
+stale frame is replaced rather than queued. Every frame goes to the recorder as it was on the wire.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import threading
+from collections import Counter, OrderedDict
+from collections.abc import Callable
+from typing import Any
+
+import can
+
+from drivers.base import ByteSink, CanFrame, Clock, Direction
+from drivers.charger.bus_errors import Trouble, bus_condition, error_classes, open_error, trouble
+from drivers.charger.settings import CanSettings
+
+_log = logging.getLogger(__name__)
+_READ_TIMEOUT_S = 0.05
+_WRITE_TIMEOUT_S = 0.1
+_FULL_S = 0.25
+"""A queue that stays full for this long is a bus on which nobody acknowledges."""
+
+
+class BusLink:
+    """The bus, its two threads and its counters."""
+
+    def __init__(
+        self,
+        settings: CanSettings,
+        clock: Clock,
+        sink: ByteSink,
+        receive: Callable[[int, bytes, float], None],
+        filters: list[tuple[int, bool]],
+    ) -> None:
+        """``receive`` gets identifier, data and host time of each data frame; ``filters``: (identifier, extended)."""
+        self._settings, self._clock, self._sink, self._receive = settings, clock, sink, receive
+        self._filters = [
+            {"can_id": i, "can_mask": 0x1FFFFFFF if extended else 0x7FF, "extended": extended}
+            for i, extended in filters
+        ]
+        self._bus: Any = None
+        self._closing = threading.Event()
+        self._broken = threading.Event()
+        self._mail: OrderedDict[int, can.Message] = OrderedDict()
+        self._mail_ready = threading.Condition()
+        self._threads: list[threading.Thread] = []
+        self._full_since_s: float | None = None
+        self._condition = ""
+        self._trouble = ""
+        self.counters: Counter[str] = Counter()
+
+    @property
+    def trouble(self) -> str:
+        """What is wrong with the bus itself; empty when nothing is known to be."""
+        return self._trouble or self._condition
+
+    def open(self) -> None:
+        """Open the bus and start both threads. Raises LinkOpenError."""
+        self._closing.clear()
+        self._broken.clear()
+        self._bus = self._make()
+        self._threads = [
+            threading.Thread(target=self._read, name="can-read", daemon=True),
+            threading.Thread(target=self._write, name="can-write", daemon=True),
+        ]
+        for thread in self._threads:
+            thread.start()
+
+    def close(self) -> None:
+        """Stop both threads and close the bus, once what was handed over is sent or has had time to be."""
+        if self._bus is None and not self._threads:
+            return
+        with self._mail_ready:
+            self._mail_ready.wait_for(lambda: not self._mail or self._broken.is_set(), timeout=_WRITE_TIMEOUT_S)
+            self._closing.set()
+            self._mail_ready.notify_all()
+        for thread in self._threads:
+            thread.join(timeout=2.0)
+        self._threads = []
+        self._shut(self._bus)
+        self._bus = None
+
+    def send(self, messages: list[can.Message]) -> None:
+        """Hand frames over for sending; never waits. One that still waits is replaced by its successor."""
+        with self._mail_ready:
+            for message in messages:
+                if self._mail.pop(message.arbitration_id, None) is not None:
+                    self.counters["tx_replaced"] += 1
+                self._mail[message.arbitration_id] = message
+            self._mail_ready.notify_all()
+
+    # --- reader -------------------------------------------------------------------------------------------------
+
+    def _read(self) -> None:
+        while not self._closing.is_set():
+            if self._broken.is_set():
+                self._reopen()
+                continue
+            try:
+                message = self._bus.recv(_READ_TIMEOUT_S)
+            except (can.CanError, OSError) as error:
+                self._note_trouble("rx_errors", error)
+                self._closing.wait(_READ_TIMEOUT_S)
+            except (ValueError, LookupError, TypeError) as error:  # python-can's slcan parser on garbage
+                self._skip_garbage(error)
+            else:
+                if message is not None:
+                    self._take(message)
+
+    def _skip_garbage(self, error: Exception) -> None:
+        self.counters["garbage"] += 1
+        _log.debug("unreadable bytes from the CAN adapter: %s", error)
+        flush = getattr(self._bus, "flush", None)
+        if isinstance(error, UnicodeDecodeError) and flush is not None:  # its buffer keeps the bytes otherwise
+            with contextlib.suppress(can.CanError, OSError):
+                flush()
+
+    def _take(self, message: can.Message) -> None:
+        now_s = self._clock.now_s()
+        self._record(message, "rx", now_s)
+        data = bytes(message.data)
+        if message.is_error_frame:
+            self.counters["error_frames"] += 1
+            for name in error_classes(message.arbitration_id):
+                self.counters[f"error_{name}"] += 1
+            self._condition = bus_condition(message.arbitration_id, data, self._condition)
+        elif message.is_remote_frame:
+            self.counters["remote_frames"] += 1
+        else:
+            self.counters["rx_frames"] += 1
+            if self._trouble == Trouble.DOWN.value:
+                self._trouble = ""
+            self._receive(message.arbitration_id, data, now_s)
+
+    def _reopen(self) -> None:
+        """Close what is broken and try to open the bus again, with growing pauses, until it opens or all closes."""
+        self._shut(self._bus)
+        pause_s = self._settings.reopen_first_s
+        while not self._closing.wait(pause_s):
+            try:
+                self._bus = self._make()
+            except Exception as error:
+                _log.debug("CAN bus still not there: %s", error)
+                pause_s = min(2.0 * pause_s, self._settings.reopen_max_s)
+                continue
+            self.counters["reopened"] += 1
+            self._trouble = self._condition = ""
+            self._broken.clear()
+            _log.info("CAN bus %s is open again", self._settings.channel)
+            return
+
+    # --- writer -------------------------------------------------------------------------------------------------
+
+    def _write(self) -> None:
+        while True:
+            with self._mail_ready:
+                self._mail_ready.wait_for(lambda: self._mail or self._closing.is_set())
+                if self._closing.is_set():
+                    return
+                _, message = self._mail.popitem(last=False)
+                self._mail_ready.notify_all()
+            if self._broken.is_set():
+                self.counters["tx_dropped"] += 1
+                continue
+            self._put(message)
+
+    def _put(self, message: can.Message) -> None:
+        bus = self._bus
+        try:
+            bus.send(message, timeout=_WRITE_TIMEOUT_S)
+        except (can.CanError, OSError, ValueError) as error:
+            self.counters["tx_dropped"] += 1
+            if bus is self._bus:
+                self._note_trouble("tx_errors", error)
+            return
+        self._full_since_s = None
+        if self._trouble in (Trouble.FULL.value, Trouble.DOWN.value):
+            self._trouble = ""
+        self.counters["tx_frames"] += 1
+        self._record(message, "tx", self._clock.now_s())
+
+    # --- both ---------------------------------------------------------------------------------------------------
+
+    def _note_trouble(self, counter: str, error: Exception) -> None:
+        self.counters[counter] += 1
+        kind = trouble(error)
+        if kind is Trouble.FULL:
+            now_s = self._clock.now_s()
+            self._full_since_s = self._full_since_s or now_s
+            if now_s - self._full_since_s <= _FULL_S:
+                return
+        if self._trouble != kind.value:
+            _log.warning("CAN bus %s: %s (%s)", self._settings.channel, kind.value, error)
+        self._trouble = kind.value
+        if kind is Trouble.BROKEN:
+            self._broken.set()
+
+    def _record(self, message: can.Message, direction: Direction, now_s: float) -> None:
+        self._sink.can_frame(
+            CanFrame(
+                time_s=now_s,
+                direction=direction,
+                arbitration_id=message.arbitration_id,
+                data=bytes(message.data),
+                is_extended=message.is_extended_id,
+                is_error=message.is_error_frame,
+                is_fd=message.is_fd,
+            )
+        )
+
+    def _make(self) -> Any:
+        """Open the bus. Raises LinkOpenError."""
+        s = self._settings
+        options: dict[str, Any] = {"bitrate": s.bitrate} if s.interface != "socketcan" else {}
+        if s.interface == "slcan":
+            options |= {
+                "tty_baudrate": s.tty_baudrate,
+                "sleep_after_open": s.sleep_after_open_s,
+                "timeout": _READ_TIMEOUT_S,
+            }
+        try:
+            bus = can.Bus(
+                channel=s.channel,
+                interface=s.interface,
+                can_filters=self._filters,
+                ignore_config=True,
+                receive_own_messages=False,
+                **options,
+            )
+        except Exception as error:  # python-can lets its back-ends' own exceptions through
+            raise open_error(error, s) from error
+        self._claim(bus)
+        return bus
+
+    def _claim(self, bus: Any) -> None:
+        """slcan: refuse a tty that another process has claimed; two readers would share its bytes."""
+        port = getattr(bus, "serialPortOrig", None)
+        if port is None:
+            return
+        try:
+            port.exclusive = True
+        except OSError as error:
+            self._shut(bus)
+            raise open_error(error, self._settings) from error
+
+    @staticmethod
+    def _shut(bus: Any) -> None:
+        if bus is None:
+            return
+        with contextlib.suppress(Exception):  # an adapter that is gone cannot be told to close
+            bus.shutdown()
+        port = getattr(bus, "serialPortOrig", None)
+        if port is not None:
+            with contextlib.suppress(OSError):
+                port.close()
