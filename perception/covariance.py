@@ -1,0 +1,41 @@
+"""How far the pose may be off: from the geometry of the points and from how the residuals hang together.
+
+Point noise alone gives s^2 inv(H). What the sweep's speed error, vibration and the part's own tolerances add is not
+independent from point to point, and shows as residuals that agree within a neighbourhood. The sandwich estimator with
+one cluster for each patch of surface (Liang and Zeger, Biometrika 73, 1986) counts each patch as one observation.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from perception.geometry import Array
+from perception.refine import Refined
+
+PATCH_M = 0.006
+
+
+def covariance(refined: Refined) -> Array:
+    """(6, 6) covariance of translation (m) then rotation vector (rad), in the port frame."""
+    weighted = refined.jacobian * refined.weight[:, None]
+    information = weighted.T @ refined.jacobian
+    inverse = np.linalg.inv(information)
+    noise = refined.scale_m**2 * inverse @ (weighted.T @ weighted) @ inverse
+    patch = np.unique(_patches(refined), return_inverse=True)[1]
+    count = int(patch.max()) + 1
+    pull = weighted * refined.distance[:, None]
+    sums = np.stack([np.bincount(patch, pull[:, k], minlength=count) for k in range(6)], axis=1)
+    clustered = inverse @ (sums.T @ sums) @ inverse * (count / max(count - 6, 1))
+    return np.asarray(noise + clustered)
+
+
+def _patches(refined: Refined) -> Array:
+    """One number for each point's cell of surface and facing direction."""
+    cell = np.floor(refined.local / PATCH_M).astype(np.int64)
+    facing = np.round(refined.jacobian[:, :3]).astype(np.int64) + 1
+    columns = np.column_stack([cell - cell.min(axis=0), facing])
+    size = columns.max(axis=0) + 1
+    flat: Array = np.zeros(len(columns), dtype=np.int64)
+    for k in range(columns.shape[1]):
+        flat = flat * size[k] + columns[:, k]
+    return flat

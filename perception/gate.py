@@ -1,0 +1,98 @@
+"""The acceptance gate: reasons to refuse a pose. No reason, no refusal; an estimate with one never becomes a plan."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from perception.estimate import Prior
+from perception.evidence import Evidence
+from perception.geometry import Array, Pose
+from perception.port_model import AcceptanceLimits
+
+MIN_COVERAGE = 0.22
+MAX_VIOLATION = 0.15
+MIN_MARGIN = 0.10
+_PRIOR_SLACK_M = 0.006
+_PRIOR_SLACK_RAD = float(np.deg2rad(3.0))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Findings:
+    """All that the gate looks at."""
+
+    T_prior_port: Pose
+    covariance: Array
+    rms_m: float
+    evidence: Evidence
+    margin: float
+
+
+def reasons_against(findings: Findings, prior: Prior, limits: AcceptanceLimits) -> tuple[str, ...]:
+    """One sentence for each thing that speaks against acceptance."""
+    return (
+        *_outside_prior(findings.T_prior_port, prior),
+        *_uncertain(findings, limits),
+        *_unsupported(findings),
+    )
+
+
+def _outside_prior(pose: Pose, prior: Prior) -> list[str]:
+    found = []
+    lateral, along = float(np.hypot(*pose.translation[:2])), abs(float(pose.translation[2]))
+    if lateral > prior.lateral_m + _PRIOR_SLACK_M:
+        found.append(
+            f"the pose lies {lateral * 1e3:.0f} mm sideways of the prior, which allows {prior.lateral_m * 1e3:.0f}"
+        )
+    if along > prior.along_m + _PRIOR_SLACK_M:
+        found.append(
+            f"the pose lies {along * 1e3:.0f} mm along the axis from the prior, which allows {prior.along_m * 1e3:.0f}"
+        )
+    tilt = float(np.arccos(np.clip(pose.rotation[2, 2], -1, 1)))
+    if tilt > prior.tilt_rad + _PRIOR_SLACK_RAD:
+        found.append(f"the axis is tilted {_deg(tilt):.0f} deg from the prior, which allows {_deg(prior.tilt_rad):.0f}")
+    roll = abs(roll_of(pose))
+    if roll > prior.roll_rad + _PRIOR_SLACK_RAD:
+        found.append(f"the roll is {_deg(roll):.0f} deg from the prior, which allows {_deg(prior.roll_rad):.0f}")
+    return found
+
+
+def _deg(angle_rad: float) -> float:
+    return float(np.rad2deg(angle_rad))
+
+
+def roll_of(pose: Pose) -> float:
+    """Rotation about the port's axis once the tilt is taken out, in radians."""
+    r = pose.rotation
+    return float(np.arctan2(r[1, 0] - r[0, 1], r[0, 0] + r[1, 1]))
+
+
+def _uncertain(findings: Findings, limits: AcceptanceLimits) -> list[str]:
+    found = []
+    sigma = np.sqrt(np.diag(findings.covariance))
+    shift, turn = float(np.linalg.norm(sigma[:3])), float(np.linalg.norm(sigma[3:]))
+    if findings.rms_m > limits.max_rms_m:
+        found.append(
+            f"the points lie {findings.rms_m * 1e3:.2f} mm off the surface, more than {limits.max_rms_m * 1e3:.2f} mm"
+        )
+    if shift > limits.max_translation_sigma_m:
+        found.append(
+            f"a position uncertainty of {shift * 1e3:.2f} mm exceeds {limits.max_translation_sigma_m * 1e3:.2f} mm"
+        )
+    if turn > limits.max_rotation_sigma_rad:
+        found.append(
+            f"an angle uncertainty of {_deg(turn):.2f} deg exceeds {_deg(limits.max_rotation_sigma_rad):.2f} deg"
+        )
+    return found
+
+
+def _unsupported(findings: Findings) -> list[str]:
+    found = []
+    if findings.evidence.coverage < MIN_COVERAGE:
+        found.append(f"only {findings.evidence.coverage:.0%} of the visible port surface has scan points on it")
+    if findings.evidence.violation > MAX_VIOLATION:
+        found.append(f"{findings.evidence.violation:.0%} of the points end inside the port's solid material")
+    if findings.margin < MIN_MARGIN:
+        found.append(f"another pose fits nearly as well (margin {findings.margin:.0%})")
+    return found

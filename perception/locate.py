@@ -1,0 +1,189 @@
+"""The default locator: a scan and a port model in, a judged pose out, as a sequence of named steps.
+
+crop -> axis hypotheses -> exhaustive search -> alignment of the best candidates -> choice -> refinement -> covariance
+-> evidence -> gate. Each step has its module.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from time import perf_counter
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from perception.align import align
+from perception.covariance import covariance
+from perception.crop import Scene, crop
+from perception.errors import DegenerateCloudError, EmptyScanError
+from perception.estimate import PortEstimate, Prior
+from perception.evidence import judge
+from perception.gate import Findings, reasons_against
+from perception.geometry import Array, Pose
+from perception.hypotheses import axis_hypotheses
+from perception.port_model import PortModel
+from perception.refine import Refined, refine
+from perception.relief import flat_weights
+from perception.scan import Cloud
+from perception.search import Candidate, search
+
+_log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, slots=True)
+class LocateSettings:
+    """What the steps may spend."""
+
+    axes: int = 6
+    """Mating-axis hypotheses."""
+    places: int = 8
+    """Places kept for each axis."""
+    candidates: int = 16
+    """Candidates that are aligned."""
+    align_points: int = 2500
+    """Scan points that align them."""
+    threads: int = 2
+    clock: Callable[[], float] = field(default=perf_counter)
+
+
+@dataclass(slots=True)
+class _Timer:
+    clock: Callable[[], float]
+    laps: list[tuple[str, float]] = field(default_factory=list)
+    start: float = 0.0
+    last: float = 0.0
+
+    def __post_init__(self) -> None:
+        self.start = self.last = self.clock()
+
+    def lap(self, step: str) -> None:
+        now = self.clock()
+        self.laps.append((step, now - self.last))
+        self.last = now
+
+    def done(self) -> tuple[tuple[str, float], ...]:
+        return (*self.laps, ("total", self.clock() - self.start))
+
+
+def locate(
+    cloud: Cloud,
+    model: PortModel | Sequence[PortModel],
+    prior: Prior | None = None,
+    settings: LocateSettings | None = None,
+) -> PortEstimate:
+    """Finds the port in a scan.
+
+    :param cloud: the scan, metres.
+    :param model: the port to find, or several of which the best-fitting one is reported.
+    :param prior: where it is expected; None searches the whole scan.
+    :returns: an estimate in the cloud's frame; a refusal is an estimate with ``accepted`` False and its reasons.
+    """
+    settings = settings or LocateSettings()
+    if isinstance(model, PortModel):
+        return _locate_one(cloud, model, prior or prior_from_cloud(cloud), settings)
+    estimates = [_locate_one(cloud, one, prior or prior_from_cloud(cloud), settings) for one in model]
+    return max(estimates, key=lambda estimate: (estimate.accepted, estimate.inlier_ratio))
+
+
+def prior_from_cloud(cloud: Cloud) -> Prior:
+    """A wide prior for a scan without one: the port faces the scanner somewhere near the middle of the scan."""
+    middle = np.median(cloud.points, axis=0)
+    return Prior(Pose(np.diag([1.0, -1.0, -1.0]), middle), lateral_m=0.08, along_m=0.06)
+
+
+def _locate_one(cloud: Cloud, model: PortModel, prior: Prior, settings: LocateSettings) -> PortEstimate:
+    timer = _Timer(settings.clock)
+    try:
+        scene = crop(cloud, model, prior, settings.threads)
+        timer.lap("crop")
+        axes = axis_hypotheses(scene.thin_normals, prior.tilt_rad, settings.axes)
+        timer.lap("axes")
+        candidates = search(scene.thin_points, axes, model, prior, keep=settings.places, threads=settings.threads)
+        timer.lap("search")
+        ranked = _align_and_rank(candidates, scene, model, settings)
+        timer.lap("align")
+        refined = refine(ranked[0][1], scene, model, threads=settings.threads)
+        timer.lap("refine")
+    except (EmptyScanError, DegenerateCloudError) as error:
+        _log.info("not located: %s", error)
+        return _nothing(cloud, model, prior, str(error), timer)
+    return _judged(cloud, model, prior, scene, ranked, refined, timer)
+
+
+def _align_and_rank(
+    candidates: list[Candidate], scene: Scene, model: PortModel, settings: LocateSettings
+) -> list[tuple[float, Pose]]:
+    """Aligned poses with their scores, best first. Raises DegenerateCloudError without any candidate."""
+    if not candidates:
+        raise DegenerateCloudError("nothing within the prior's bounds resembles the port")
+    chosen = _subset(scene, settings.align_points)
+    weights = np.append(flat_weights(model.surface), 0.0)
+    poses = [candidate.T_prior_port for candidate in candidates[: settings.candidates]]
+    aligned = align(poses, scene.thin_points[chosen], scene.thin_normals[chosen], model, weights)
+    tree = cKDTree(scene.thin_points)
+    scored = [(judge(pose, scene, model, tree, settings.threads).score, pose) for pose in aligned]
+    return sorted(scored, key=lambda entry: -entry[0])
+
+
+def _subset(scene: Scene, count: int) -> Array:
+    """Evenly spread numbers of thinned points."""
+    return np.unique(np.linspace(0, len(scene.thin_points) - 1, count).astype(np.int64))
+
+
+def _judged(
+    cloud: Cloud,
+    model: PortModel,
+    prior: Prior,
+    scene: Scene,
+    ranked: list[tuple[float, Pose]],
+    refined: Refined,
+    timer: _Timer,
+) -> PortEstimate:
+    pose = refined.T_prior_port
+    cov = covariance(refined)
+    timer.lap("covariance")
+    evidence = judge(pose, scene, model, cKDTree(scene.thin_points))
+    margin = _margin(evidence.score, pose, ranked)
+    findings = Findings(pose, cov, refined.rms_m, evidence, margin)
+    against = reasons_against(findings, prior, model.limits)
+    timer.lap("evidence")
+    supports = (f"{evidence.coverage:.0%} of the visible port surface is covered by scan points",)
+    return PortEstimate(
+        port=model.name,
+        T_ref_port=prior.T_ref_port @ pose,
+        ref=cloud.frame,
+        covariance=cov,
+        rms_residual_m=refined.rms_m,
+        inlier_ratio=evidence.coverage,
+        runner_up_margin=margin,
+        accepted=not against,
+        reasons=against or supports,
+        timings_s=timer.done(),
+        verdict="uncertain" if against else "port",
+    )
+
+
+def _margin(best: float, pose: Pose, ranked: list[tuple[float, Pose]]) -> float:
+    """How far the best pose that is not this one scores below it, as a share of its score."""
+    others = [score for score, other in ranked if other.distance_to(pose) > 0.004 or other.angle_to(pose) > 0.1]
+    if best <= 0:
+        return 0.0
+    return float(np.clip(1.0 - max(others, default=0.0) / best, 0.0, 1.0))
+
+
+def _nothing(cloud: Cloud, model: PortModel, prior: Prior, reason: str, timer: _Timer) -> PortEstimate:
+    return PortEstimate(
+        port=model.name,
+        T_ref_port=prior.T_ref_port,
+        ref=cloud.frame,
+        covariance=np.diag([1.0] * 3 + [np.pi**2] * 3),
+        rms_residual_m=float("inf"),
+        inlier_ratio=0.0,
+        runner_up_margin=0.0,
+        accepted=False,
+        reasons=(reason,),
+        timings_s=timer.done(),
+        verdict="no-port",
+    )

@@ -1,0 +1,149 @@
+"""A port as the locator needs it: prepared once from a mesh, kept on disk by the content of the mesh."""
+
+from __future__ import annotations
+
+import hashlib
+import logging
+import os
+import tempfile
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from perception.geometry import Array, Pose
+from perception.mesh_io import checked_mesh
+from perception.nearest import NearestField, build_nearest
+from perception.surface import Surface, visible_surface
+
+_log = logging.getLogger(__name__)
+
+_VERSION = "3"
+"""Part of the cache key: raise it when the preparation changes."""
+FINE_SPACING_M = 0.0007
+COARSE_SPACING_M = 0.0015
+
+
+@dataclass(frozen=True, slots=True)
+class AcceptanceLimits:
+    """What an estimate must reach to be accepted; the docking tolerance of the plug decides the last two."""
+
+    max_rms_m: float = 0.0012
+    max_translation_sigma_m: float = 0.0005
+    max_rotation_sigma_rad: float = float(np.deg2rad(0.35))
+
+
+@dataclass(frozen=True, eq=False)
+class PortModel:
+    """A port model. Port frame: origin on the rim plane, centre of the AC section; +z out of the vehicle, +y up."""
+
+    name: str
+    vertices: Array
+    """(V, 3) metres, port frame."""
+    faces: NDArray[np.int64]
+    """(F, 3)."""
+    surface: Surface
+    """Samples of what can be seen from the front, fine enough to register against."""
+    nearest: NearestField
+    """Look-up of the nearest sample of ``surface``."""
+    checksum: str
+    """Hash of the mesh; equal checksums mean equal models."""
+    T_port_tcp: Pose = field(default_factory=Pose.identity)
+    """Where the plug's tool centre is when mated."""
+    limits: AcceptanceLimits = field(default_factory=AcceptanceLimits)
+
+    @staticmethod
+    def from_mesh(
+        name: str,
+        vertices: Array,
+        faces: NDArray[np.int64],
+        *,
+        T_port_tcp: Pose | None = None,
+        limits: AcceptanceLimits | None = None,
+        cache_dir: Path | None = None,
+    ) -> PortModel:
+        """Prepares a model from a triangle mesh, or takes the prepared one from the cache.
+
+        :param vertices: (V, 3) metres, port frame.
+        :param faces: (F, 3); degenerate ones are tolerated.
+        :param cache_dir: where prepared models are kept; None for the user's cache directory.
+        :raises MeshError: no usable face.
+        :raises UnitError: a size that no port has.
+        """
+        vertices, faces = checked_mesh(name, np.asarray(vertices, dtype=np.float64), np.asarray(faces, dtype=np.int64))
+        checksum = _checksum(vertices, faces)
+        path = (cache_dir or default_cache_dir()) / f"model-{_VERSION}-{checksum[:20]}.npz"
+        prepared = _load(path)
+        if prepared is None:
+            surface = visible_surface(vertices, faces).thinned(FINE_SPACING_M)
+            prepared = surface, build_nearest(surface)
+            _save(path, *prepared)
+        return PortModel(
+            name,
+            vertices,
+            faces,
+            *prepared,
+            checksum,
+            T_port_tcp or Pose.identity(),
+            limits or AcceptanceLimits(),
+        )
+
+    def renamed(self, name: str) -> PortModel:
+        """The same model under another name."""
+        return replace(self, name=name)
+
+    @cached_property
+    def tree(self) -> cKDTree:
+        """A kd-tree of the surface samples."""
+        return cKDTree(self.surface.points)
+
+    @property
+    def size(self) -> tuple[Array, Array]:
+        """Lowest and highest corner (3,) of the visible surface."""
+        return self.surface.points.min(axis=0), self.surface.points.max(axis=0)
+
+
+def default_cache_dir() -> Path:
+    """``$XDG_CACHE_HOME/portdock/models`` or its usual default."""
+    base = os.environ.get("XDG_CACHE_HOME") or str(Path("~/.cache").expanduser())
+    return Path(base) / "portdock" / "models"
+
+
+def _checksum(vertices: Array, faces: NDArray[np.int64]) -> str:
+    digest = hashlib.sha256(np.round(vertices * 1e7).astype("<i8").tobytes())
+    digest.update(faces.astype("<i8").tobytes())
+    return digest.hexdigest()
+
+
+def _load(path: Path) -> tuple[Surface, NearestField] | None:
+    try:
+        with np.load(path, allow_pickle=False) as archive:
+            columns = archive["surface"].astype(np.float64)
+            surface = Surface(columns[:, :3], columns[:, 3:6], columns[:, 6], columns[:, 7])
+            grid = archive["grid"]
+            return surface, NearestField(grid[:3], archive["index"], float(grid[3]), len(surface))
+    except FileNotFoundError:
+        return None
+    except Exception as error:  # a broken cache file must never stop a docking: prepare again
+        _log.warning("the cached model %s is unusable and is prepared again: %s", path.name, error)
+        return None
+
+
+def _save(path: Path, surface: Surface, nearest: NearestField) -> None:
+    """Writes beside and renames, so that two processes at once do no harm. What cannot be written is not cached."""
+    columns = np.column_stack([surface.points, surface.normals, surface.visibility, surface.crease])
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.NamedTemporaryFile(dir=path.parent, suffix=".tmp", delete=False) as file:
+            np.savez(
+                file,
+                surface=columns.astype(np.float32),
+                grid=np.append(nearest.origin, nearest.cell_m),
+                index=nearest.index,
+            )
+        os.replace(file.name, path)
+    except OSError as error:
+        _log.info("prepared models are not cached: %s", error)

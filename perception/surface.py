@@ -1,0 +1,123 @@
+"""The part of a port's mesh that a scanner in front of it can see, as evenly spread samples with normals.
+
+Sampling is deterministic, so that a model's checksum stands for its samples too. Visibility comes from depth buffers
+of the samples themselves, seen from directions over the front hemisphere; no ray-casting library is needed and holes,
+degenerate triangles and inconsistent winding do no harm.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from perception.geometry import Array
+
+SPACING_M = 0.0004
+PIXEL_M = 0.0008
+_RINGS = ((0.0, 1), (15.0, 6), (30.0, 10), (45.0, 12), (55.0, 12))
+"""(angle from +z in degrees, number of directions around it)."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Surface:
+    """Samples of the visible surface, in the port frame."""
+
+    points: Array
+    """(M, 3) metres."""
+    normals: Array
+    """(M, 3) unit, towards the side it is seen from."""
+    visibility: Array
+    """(M,) share of the front directions that see the sample, above 0."""
+    crease: Array
+    """(M,) 0 on smooth surface, to 1 at a sharp edge; scan points there mix two surfaces."""
+
+    def __len__(self) -> int:
+        return len(self.points)
+
+    def thinned(self, spacing_m: float) -> Surface:
+        """At most one sample for each cell of ``spacing_m`` and facing direction."""
+        facing = np.round(self.normals).astype(np.int64) @ np.array([1, 3, 9])
+        cells = np.column_stack([np.floor(self.points / spacing_m).astype(np.int64), facing])
+        keep = np.unique(cells, axis=0, return_index=True)[1]
+        keep.sort()
+        return Surface(self.points[keep], self.normals[keep], self.visibility[keep], self.crease[keep])
+
+
+def sample_mesh(vertices: Array, faces: NDArray[np.int64], spacing_m: float) -> tuple[Array, Array]:
+    """Points (N, 3) evenly spread over all triangles, one for each ``spacing_m`` squared, and their unit normals."""
+    corners = vertices[faces]
+    edge1, edge2 = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    cross = np.cross(edge1, edge2)
+    twice_area = np.linalg.norm(cross, axis=1)
+    cumulative = np.cumsum(0.5 * twice_area) / spacing_m**2
+    count = max(int(cumulative[-1]), 1)
+    index = np.minimum(np.searchsorted(cumulative, np.arange(count) + 0.5), len(faces) - 1)
+    # The R2 sequence (plastic number) fills a triangle more evenly than random numbers.
+    k = np.arange(1, count + 1)
+    u, v = (0.5 + 0.7548776662466927 * k) % 1.0, (0.5 + 0.5698402909980532 * k) % 1.0
+    fold = u + v > 1.0
+    u[fold], v[fold] = 1.0 - u[fold], 1.0 - v[fold]
+    points = corners[index, 0] + u[:, None] * edge1[index] + v[:, None] * edge2[index]
+    return points, cross[index] / np.maximum(twice_area[index], 1e-30)[:, None]
+
+
+def visible_surface(vertices: Array, faces: NDArray[np.int64], spacing_m: float = SPACING_M) -> Surface:
+    """Samples of the mesh that at least one direction of the front hemisphere sees.
+
+    :param vertices: (V, 3) metres, port frame (+z out of the vehicle).
+    :param faces: (F, 3) without degenerate triangles.
+    """
+    points, normals = sample_mesh(vertices, faces, spacing_m)
+    directions = front_directions()
+    front = np.zeros(len(points))
+    back = np.zeros(len(points))
+    for direction in directions:
+        seen = _seen_from(points, normals, direction)
+        facing = normals @ direction
+        front += seen & (facing > 0.05)
+        back += seen & (facing < -0.05)
+    # Winding outwards as it should be: what is seen from behind is a leak. Otherwise take either side.
+    if back.sum() > 0.05 * front.sum():
+        flip = back > front
+        normals = np.where(flip[:, None], -normals, normals)
+        front = np.maximum(front, back)
+    share = front / len(directions)
+    keep = share >= 1.5 / len(directions)
+    points, normals, share = points[keep], normals[keep], share[keep]
+    return Surface(points, normals, share, _crease(points, normals))
+
+
+def front_directions() -> Array:
+    """(K, 3) unit vectors from the port towards possible viewpoints."""
+    rows = []
+    for angle_deg, count in _RINGS:
+        azimuth = 2 * np.pi * np.arange(count) / count
+        sine, cosine = np.sin(np.deg2rad(angle_deg)), np.cos(np.deg2rad(angle_deg))
+        rows.append(np.column_stack([sine * np.cos(azimuth), sine * np.sin(azimuth), np.full(count, cosine)]))
+    return np.concatenate(rows)
+
+
+def _seen_from(points: Array, normals: Array, direction: Array) -> NDArray[np.bool_]:
+    """Which samples are not hidden by others, seen along ``-direction`` without perspective."""
+    across = np.linalg.svd(direction[None, :])[2][1:]
+    pixel = np.floor(points @ across.T / PIXEL_M).astype(np.int64)
+    pixel -= pixel.min(axis=0)
+    width = int(pixel[:, 1].max()) + 1
+    flat = pixel[:, 0] * width + pixel[:, 1]
+    depth = points @ direction
+    nearest = np.full(int(flat.max()) + 1, -np.inf)
+    np.maximum.at(nearest, flat, depth)
+    cosine = np.abs(normals @ direction)
+    slope = np.sqrt(1.0 - np.minimum(cosine, 1.0) ** 2) / np.maximum(cosine, 0.2)
+    return np.asarray(depth > nearest[flat] - (0.0003 + PIXEL_M * slope))
+
+
+def _crease(points: Array, normals: Array, radius_m: float = 0.0007) -> Array:
+    """How differently the neighbours within about ``radius_m`` face: 1 - mean cosine, scaled to reach 1 at an edge."""
+    index = np.asarray(cKDTree(points).query(points, k=9, distance_upper_bound=radius_m, workers=2)[1])
+    index = np.where(index == len(points), np.arange(len(points))[:, None], index)
+    cosine = np.einsum("nkj,nj->nk", normals[index], normals)
+    return np.asarray(np.clip(3.0 * (1.0 - cosine.mean(axis=1)), 0.0, 1.0))
