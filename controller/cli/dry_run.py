@@ -1,0 +1,96 @@
+"""``portdock dry-run`` and ``portdock run``: one docking mission, with mock hardware or with the site's devices."""
+
+from __future__ import annotations
+
+import json
+import sys
+import tempfile
+from datetime import datetime
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from controller.cli.progress import make_display
+from controller.config import ConfigError, SiteConfig, load_config
+from controller.port_files import load_port
+from controller.scenarios import SCENARIOS, draw_scenario
+from controller.session import run_session
+from controller.summary import MissionSummary
+from controller.wiring import MockCell
+
+FAST_FACTOR = 4.0
+"""Emulated seconds per wall second with --fast."""
+
+
+def dry_run(
+    seed: Annotated[int, typer.Option(min=0, help="Where the car stands, and all noise.")] = 0,
+    scenario: Annotated[str, typer.Option(help="One of " + ", ".join(SCENARIOS) + ".")] = "nominal",
+    fast: Annotated[bool, typer.Option("--fast", help=f"Wire and arm pacing {FAST_FACTOR:g} times as fast.")] = False,
+    out: Annotated[
+        Path | None, typer.Option(help="Folder for recording and report; must not hold a recording.")
+    ] = None,
+    config: Annotated[
+        Path | None, typer.Option(help="A site file; device addresses are replaced by the mocks'.")
+    ] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object instead of progress.")] = False,
+) -> None:
+    """Watch a whole docking cycle without hardware: three mocks on real wires, the very controller of the daemon."""
+    site = for_mocks(load_config(config))
+    world = draw_scenario(scenario, site, load_port(site.port.model), seed)
+    folder = run_folder(out, site)
+    pace = FAST_FACTOR if fast else 1.0
+    with make_display(quiet=as_json) as display, tempfile.TemporaryDirectory(prefix="portdock-") as wires:
+        if fast:
+            display.note(f"fast: wires and arm run {pace:g} times as fast; heartbeats and freshness keep wall time")
+        with MockCell(Path(wires), site, world, seed, pace) as cell:
+            summary = run_session(
+                cell.config,
+                folder,
+                display,
+                pace=pace,
+                heartbeat_mode=1,
+                truth=None if world.plain_panel else world.T_base_port,
+                notes=(("scenario", scenario), ("seed", str(seed)), ("pace", f"{pace:g}")),
+            )
+        display.finish(summary)
+    finish(summary, as_json)
+
+
+def run(
+    config: Annotated[Path, typer.Option(help="The site file.")],
+    out: Annotated[Path | None, typer.Option(help="Folder for recording and report.")] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object instead of progress.")] = False,
+) -> None:
+    """Run one docking mission on the devices that the site file names. The arm will move."""
+    site = load_config(config)
+    with make_display(quiet=as_json) as display:
+        summary = run_session(site, run_folder(out, site), display)
+        display.finish(summary)
+    finish(summary, as_json)
+
+
+def run_folder(out: Path | None, site: SiteConfig) -> Path:
+    """The folder for one mission's evidence; made if it is missing. Raises ConfigError."""
+    stamp = datetime.now().strftime("%Y%m%d-%H%M%S-%f")
+    folder = out or Path(site.recording.folder) / stamp
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ConfigError(f"cannot make the folder {folder}: {error.strerror}", remedy="Give another --out.") from error
+    return folder.resolve()
+
+
+def for_mocks(site: SiteConfig) -> SiteConfig:
+    """The same site with time-outs that a shared desk machine keeps: its scheduler is not the robot's."""
+    charger = site.charger.model_copy(update={"lost_ms": 1000.0, "degraded_ms": 500.0})
+    arm = site.arm.model_copy(update={"freshness_ms": 500.0, "watchdog_hz": 2.0, "frequency_hz": 125})
+    return site.model_copy(update={"charger": charger, "arm": arm})
+
+
+def finish(summary: MissionSummary, as_json: bool) -> None:
+    """Print the result where asked, and exit with the documented code."""
+    if as_json:
+        sys.stdout.write(json.dumps(summary.to_json()) + "\n")
+    if summary.outcome != "charged":
+        raise typer.Exit(4 if summary.fault == "gate-refused" else 1)

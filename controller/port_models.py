@@ -1,0 +1,28 @@
+"""A port model by name or path: bundled descriptions are built into meshes, mesh files are read as they are."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from controller.port_files import bundled_ports, load_port
+from perception.errors import UnknownPortError
+from perception.mesh_io import MESH_SUFFIXES, read_mesh
+from perception.port_model import PortModel
+from perception.port_shape import build_mesh
+
+
+def port_model(name_or_path: str, unit: str = "m") -> PortModel:
+    """The prepared model of a bundled port, a port description (.yaml) or a mesh file (``unit`` m, cm or mm).
+
+    Raises UnknownPortError, PortFileError, MeshError or UnitError.
+    """
+    suffix = Path(name_or_path).suffix.lower()
+    if suffix in MESH_SUFFIXES:
+        vertices, faces = read_mesh(Path(name_or_path), unit)
+        return PortModel.from_mesh(Path(name_or_path).stem, vertices, faces)
+    if suffix and suffix not in (".yaml", ".yml"):
+        known = f"{', '.join(bundled_ports())}; mesh files end with {', '.join(MESH_SUFFIXES)}"
+        raise UnknownPortError(f"{name_or_path} is neither a port's name nor a mesh file", remedy=f"Known: {known}.")
+    port = load_port(name_or_path)
+    vertices, faces = build_mesh(port.shape)
+    return PortModel.from_mesh(port.name, vertices, faces, T_port_tcp=port.T_port_tcp)

@@ -1,0 +1,201 @@
+"""One mission from configuration to evidence: open the devices, run it, close everything, write the report.
+
+Dry run and daemon come through here; they differ in the configuration's addresses and in who watches.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from io import BytesIO
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+
+from controller import wiring
+from controller.cell import Cell
+from controller.config import SiteConfig, as_yaml
+from controller.faults import Outcome
+from controller.insertion import Insertion
+from controller.mission import Mission
+from controller.pace import PacedClock
+from controller.perception_worker import PerceptionWorker
+from controller.port_files import load_port
+from controller.port_models import port_model
+from controller.recorder import Recorder
+from controller.report import write_report
+from controller.summary import ContactSummary, LocateSummary, MissionSummary
+from controller.supervisor import Sources, Supervisor
+from drivers.base import MonotonicClock
+from perception.errors import PortdockError
+from perception.estimate import PortEstimate
+from perception.geometry import Pose
+from perception.scan import Cloud
+
+log = logging.getLogger(__name__)
+
+RECORDING_NAME = "mission.mcap"
+REPORT_NAME = "report.html"
+
+
+class Display(Protocol):
+    """Who shows a mission while it runs."""
+
+    def state(self, name: str, elapsed_s: float) -> None: ...
+    def progress(self, label: str, fraction: float, detail: str) -> None: ...
+
+
+@dataclass(slots=True)
+class MissionWatcher:
+    """Hands what happens to the recorder and the display, and keeps the times of the states."""
+
+    recorder: Recorder
+    display: Display
+    passed: list[tuple[str, float]] = field(default_factory=list)
+    """(state, mission time of its entry)."""
+    ended_s: float = 0.0
+    attempts: int = 0
+
+    def transition(self, source: str, event: str, target: str, time_s: float) -> None:
+        self.passed.append((target, time_s))
+        self.recorder.transition(source, event, target, time_s)
+        self.display.state(target, time_s - self.passed[0][1])
+
+    def progress(self, label: str, fraction: float, detail: str) -> None:
+        self.display.progress(label, fraction, detail)
+
+    def scan(self, cloud: Cloud) -> None:
+        self.recorder.scan(cloud)
+
+    def estimate(self, estimate: PortEstimate) -> None:
+        self.recorder.estimate(estimate)
+
+    def insertion(self, insertion: Insertion) -> None:
+        self.attempts += 1
+        self.recorder.contact(self.attempts, contact_summary(insertion))
+
+    def durations(self, end_s: float) -> tuple[tuple[str, float], ...]:
+        """(state, seconds spent in it) in the order passed."""
+        ends = [time_s for _, time_s in self.passed[1:]] + [end_s]
+        return tuple((name, end - begin) for (name, begin), end in zip(self.passed, ends, strict=True))
+
+
+def run_session(
+    config: SiteConfig,
+    folder: Path,
+    display: Display,
+    *,
+    pace: float = 1.0,
+    heartbeat_mode: int = 2,
+    truth: Pose | None = None,
+    notes: Sequence[tuple[str, str]] = (),
+) -> MissionSummary:
+    """Run one docking mission and leave recording and report in ``folder``.
+
+    :param truth: ``T_base_port`` where it is known (dry run), for the error of the located pose.
+    :param notes: further (name, text) for the recording's metadata.
+    :raises LinkOpenError: a device cannot be opened; ConfigError and the like before anything is opened.
+    """
+    port = load_port(config.port.model)
+    wall = MonotonicClock()
+    clock = PacedClock(pace, wall)
+    model = port_model(config.port.model)
+    recorder = Recorder(folder / RECORDING_NAME, wall)
+    _attach_context(recorder, config, model.surface.points, dict(notes) | {"model": model.checksum})
+    watcher = MissionWatcher(recorder, display)
+    devices = wiring.build_devices(config, recorder, wall)
+    locator = PerceptionWorker(config.port.model)
+    supervisor = Supervisor(Sources(devices.arm, devices.charger, devices.scanner), clock, wall)
+    supervisor.facts.mode = heartbeat_mode
+    summary: MissionSummary | None = None
+    try:
+        locator.checksum()
+        for device in (devices.charger, devices.scanner, devices.arm):
+            device.open()
+        supervisor.start()
+        cell = Cell(
+            arm=devices.arm,
+            scanner=devices.scanner,
+            charger=devices.charger,
+            locator=locator,
+            supervisor=supervisor,
+            clock=clock,
+            wall=wall,
+            limits=wiring.limits_of(config, port),
+            reach=wiring.reach_check(config),
+            records=recorder,
+        )
+        mission = Mission(cell, config, port.T_port_tcp, watcher, folder)
+        outcome = mission.run()
+        summary = _summary(mission, outcome, watcher, clock.now_s(), truth, folder)
+    finally:
+        supervisor.close()
+        for device in (devices.arm, devices.scanner, devices.charger):
+            device.close()
+        for name, device in (("arm", devices.arm), ("scanner", devices.scanner), ("charger", devices.charger)):
+            recorder.link(name, device.health())
+        locator.close()
+        recorder.close(summary)
+    return _with_report(summary, folder)
+
+
+def _attach_context(recorder: Recorder, config: SiteConfig, points: np.ndarray, values: dict[str, str]) -> None:
+    """What a reader of the recording needs to understand it without this machine."""
+    recorder.attach("config.yaml", as_yaml(config).encode(), "application/yaml")
+    buffer = BytesIO()
+    np.savez_compressed(buffer, points=points.astype(np.float32))
+    recorder.attach("model_points.npz", buffer.getvalue(), "application/x-npz")
+    recorder.metadata("mission", values)
+
+
+def _summary(
+    mission: Mission, outcome: Outcome, watcher: MissionWatcher, end_s: float, truth: Pose | None, folder: Path
+) -> MissionSummary:
+    estimate, insertion = mission.now.estimate, mission.now.insertion
+    return MissionSummary(
+        outcome=outcome.kind,
+        fault=None if outcome.fault is None else outcome.fault.code.value,
+        remedy="" if outcome.fault is None else f"{outcome.fault}. {outcome.fault.remedy}",
+        states=watcher.durations(end_s),
+        attempts=mission.now.attempt,
+        locate=None if estimate is None else locate_summary(estimate, truth),
+        contact=None if insertion is None else contact_summary(insertion),
+        recording=folder / RECORDING_NAME,
+        report=folder / REPORT_NAME,
+    )
+
+
+def locate_summary(estimate: PortEstimate, truth: Pose | None) -> LocateSummary:
+    """The estimate for people, with its error where the truth is known and a pose was given."""
+    known = truth is not None and estimate.accepted
+    return LocateSummary(
+        accepted=estimate.accepted,
+        error_mm=estimate.T_ref_port.distance_to(truth) * 1000.0 if known and truth is not None else None,
+        error_deg=float(np.rad2deg(estimate.T_ref_port.angle_to(truth))) if known and truth is not None else None,
+        elapsed_s=estimate.elapsed_s,
+        reasons=estimate.reasons,
+    )
+
+
+def contact_summary(insertion: Insertion) -> ContactSummary:
+    """The contact numbers of one insertion in the units of reports."""
+    contact = insertion.contact
+    return ContactSummary(
+        along_mm=contact.along_m * 1000.0,
+        lateral_mm=contact.lateral_m * 1000.0,
+        roll_deg=float(np.rad2deg(contact.roll_rad)),
+        tilt_deg=float(np.rad2deg(contact.tilt_rad)),
+        peak_force_n=contact.peak_force_n,
+    )
+
+
+def _with_report(summary: MissionSummary, folder: Path) -> MissionSummary:
+    """A report that cannot be written costs the report, never the mission's result."""
+    try:
+        write_report(folder / RECORDING_NAME, folder / REPORT_NAME)
+    except (PortdockError, OSError) as error:
+        log.error("no report: %s", error)
+        return replace(summary, report=None)
+    return summary
