@@ -71,7 +71,10 @@ class Recorder:
         backlog_bytes: int = 16 * 1024 * 1024,
         wall_time_ns: Callable[[], int] = time.time_ns,
     ) -> None:
-        """Create the file (and its folder) and start the writer. Raises RecordingError, also if the file exists."""
+        """Create the file (and its folder) and start the writer. Raises RecordingError, also if the file exists.
+
+        ``clock`` is the host's monotonic clock that the drivers stamp with, never a paced one.
+        """
         self.path = path
         self._clock = clock
         offset_ns = wall_time_ns() - to_ns(clock.now_s())
@@ -118,12 +121,12 @@ class Recorder:
     # --- events of the mission: never dropped -------------------------------------------------------------------------
 
     def transition(self, from_state: str, event: str, to_state: str, time_s: float) -> None:
-        """A step of the state machine; the file is synced behind it, in the background.
+        """A step of the state machine at the mission's time ``time_s``; the file is synced behind it, in the background.
 
         Raises RecordingError, once, if the recording has failed since.
         """
-        step = Transition(time_s, from_state, event, to_state)
-        self._event(schemas.STATE, time_s, lambda: messages.encode_transition(step))
+        step = Transition(self._clock.now_s(), from_state, event, to_state, time_s)
+        self._event(schemas.STATE, step.time_s, lambda: messages.encode_transition(step))
         self._submit(lambda file: file.sync())
         self._raise_failure_once()
 

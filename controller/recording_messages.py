@@ -41,13 +41,13 @@ CLOUD_FIELDS = ("x", "y", "z")
 def encode_transition(transition: Transition) -> bytes:
     """Topic /state."""
     step = {"from": transition.from_state, "event": transition.event, "to": transition.to_state}
-    return _dump({"time_s": transition.time_s, **step})
+    return _dump({"time_s": transition.time_s, "mission_time_s": transition.mission_time_s, **step})
 
 
 def decode_transition(data: bytes) -> Transition:
     """Topic /state."""
     m = json.loads(data)
-    return Transition(m["time_s"], m["from"], m["event"], m["to"])
+    return Transition(m["time_s"], m["from"], m["event"], m["to"], m["mission_time_s"])
 
 
 def encode_arm_command(record: ArmCommandRecord) -> bytes:

@@ -67,7 +67,11 @@ ARM = _raw("/arm/state", ARM_STATE)
 ARM_COMMAND = _json(
     "/arm/command", "portdock.ArmCommand", {"time_s": _NUMBER, "name": _TEXT, "arguments": _NUMBERS, "result": _TEXT}
 )
-STATE = _json("/state", "portdock.Transition", {"time_s": _NUMBER, "from": _TEXT, "event": _TEXT, "to": _TEXT})
+STATE = _json(
+    "/state",
+    "portdock.Transition",
+    {"time_s": _NUMBER, "mission_time_s": _NUMBER, "from": _TEXT, "event": _TEXT, "to": _TEXT},
+)
 COMMAND = _json(
     "/command",
     "portdock.Command",

@@ -27,9 +27,12 @@ class Transition:
     """One step of the state machine."""
 
     time_s: float
+    """Host's monotonic time, as for everything in a recording."""
     from_state: str
     event: str
     to_state: str
+    mission_time_s: float
+    """The mission's own time: the same on a real cell, faster in a dry run with ``--fast``."""
 
 
 @dataclass(frozen=True, slots=True)
