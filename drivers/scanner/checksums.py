@@ -9,6 +9,7 @@ detection algorithms", 1993).
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,6 +31,7 @@ def checksum_function(checksum: Checksum, length: int) -> Callable[[Bytes2d], Su
     return _crc_function(checksum, length)
 
 
+@cache  # 4 MB of tables for a frame of 4 kB, a few milliseconds to make
 def _crc_function(checksum: Checksum, length: int) -> Callable[[Bytes2d], Sums]:
     width = 8 * checksum.width
     byte_table = _byte_table(checksum.poly, width, checksum.reflected)

@@ -40,28 +40,33 @@ class SequenceTracker:
     lost: int = 0
     stale: int = 0
     """Frames that came again, or from before the last one: never handed on."""
-    _last: int | None = None
+    _raw: int | None = None
+    _number: int = 0
     _stale_next: int | None = None
     _stale_run: int = 0
 
-    def accept(self, number: int) -> bool:
-        """Whether a frame with this number is new. A device whose count jumps back is believed after RESTART_AFTER."""
-        if self._last is None:
-            self._last = number
-            return True
-        step = (number - self._last) % self.counter.modulus
+    def accept(self, raw: int) -> int | None:
+        """The frame's number, unwrapped; None for one that is not new.
+
+        A device whose count jumps back is believed after RESTART_AFTER frames in order.
+        """
+        if self._raw is None:
+            return self._take(raw, raw)
+        step = (raw - self._raw) % self.counter.modulus
         if 0 < step < self.counter.modulus // 2:
             self.lost += step - 1
-            self._last, self._stale_run = number, 0
-            return True
-        self._stale_run = self._stale_run + 1 if number == self._stale_next else 1
-        self._stale_next = (number + 1) % self.counter.modulus
+            return self._take(raw, self._number + step)
+        self._stale_run = self._stale_run + 1 if raw == self._stale_next else 1
+        self._stale_next = (raw + 1) % self.counter.modulus
         if self._stale_run >= RESTART_AFTER:
-            self._last, self._stale_run = number, 0
-            return True
+            return self._take(raw, self._number + 1)
         self.stale += 1
-        return False
+        return None
 
     def restart(self) -> None:
         """Expect any number next; what was counted stays."""
-        self._last, self._stale_run = None, 0
+        self._raw, self._stale_run = None, 0
+
+    def _take(self, raw: int, number: int) -> int:
+        self._raw, self._number, self._stale_run = raw, number, 0
+        return number

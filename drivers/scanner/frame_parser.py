@@ -151,7 +151,6 @@ class FrameParser:
         if self._sequence is None:
             self._running_number += 1
             return self._running_number - 1
-        number = int(frame[self._sequence.counter.field])
-        fresh = self._sequence.accept(number)
+        number = self._sequence.accept(int(frame[self._sequence.counter.field]))
         self.counters.lost, self.counters.stale = self._sequence.lost, self._sequence.stale
-        return number if fresh else None
+        return number

@@ -1,0 +1,106 @@
+"""Profiles and arm samples, each with its own clock -> a ``Scan``: where the flange was when each profile was taken."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Sequence
+from typing import ClassVar
+
+import numpy as np
+
+from drivers.base import ArmState
+from drivers.clock_fit import fit_clock
+from perception.errors import PortdockError
+from perception.geometry import Array, Pose, interpolate
+from perception.scan import Profile, Scan
+
+logger = logging.getLogger(__name__)
+
+MAX_LOST_SHARE = 0.1
+MAX_SPREAD_S = 0.5
+MIN_PROFILES = 10
+
+
+class SweepError(PortdockError):
+    """A sweep is not good enough to be located in: profiles lost, or clocks that do not agree."""
+
+    code: ClassVar[str] = "sweep"
+    default_remedy: ClassVar[str] = "Scan again; if it recurs, check the scanner's cable and the load of this computer."
+
+
+def join(
+    profiles: Sequence[Profile],
+    arm_states: Sequence[ArmState],
+    T_flange_scanner: Pose,
+    latency_s: float,
+    *,
+    arm_latency_s: float = 0.0,
+    time_scale: float = 1.0,
+    max_lost_share: float = MAX_LOST_SHARE,
+) -> Scan:
+    """The scan that profiles and arm samples make together.
+
+    Both clocks are fitted to the host's by the lower envelope of delivery, then the flange's pose is interpolated at
+    each profile's time. Profiles from before the first or after the last arm sample are left out.
+
+    :param latency_s: least delay from a profile's device time stamp to its last byte, in the device's seconds
+    :param arm_latency_s: the same for an arm sample
+    :param time_scale: device seconds per host second: not 1 only where mocks run faster than the wall clock
+    :raises SweepError: too few or too many lost profiles, no arm samples, or a clock that jumps
+    """
+    if len(arm_states) < 2:
+        raise SweepError(f"{len(arm_states)} arm samples are too few to place profiles by")
+    kept_arm, arm_s = _arm_times(arm_states, arm_latency_s, 1.0 / time_scale)
+    times_s = _profile_times(profiles, latency_s, 1.0 / time_scale)
+    inside = (times_s >= arm_s[0]) & (times_s <= arm_s[-1])
+    kept = [profile for profile, known in zip(profiles, inside, strict=True) if known]
+    _refuse_gaps(kept, len(profiles), max_lost_share)
+    poses = interpolate(arm_s, [state.T_base_flange for state in kept_arm], times_s[inside])
+    return Scan(tuple(kept), tuple(poses), T_flange_scanner)
+
+
+def lost_profiles(profiles: Sequence[Profile]) -> int:
+    """Profiles that are missing between the first and the last, by their sequence numbers."""
+    if not profiles:
+        return 0
+    return profiles[-1].sequence - profiles[0].sequence + 1 - len(profiles)
+
+
+def _profile_times(profiles: Sequence[Profile], latency_s: float, rate: float) -> Array:
+    """Host times (N,) of exposure."""
+    host_s = np.array([profile.time_s for profile in profiles])
+    device_s = [profile.device_time_s for profile in profiles if profile.device_time_s is not None]
+    if not profiles or len(device_s) < len(profiles):
+        return host_s - latency_s * rate
+    return _on_host(np.array(device_s), host_s, rate, "scanner") - latency_s * rate
+
+
+def _arm_times(states: Sequence[ArmState], latency_s: float, rate: float) -> tuple[list[ArmState], Array]:
+    """Samples with growing device time, and their host times (N,)."""
+    device_s = np.array([state.device_time_s for state in states])
+    newer = np.concatenate([[True], device_s[1:] > np.maximum.accumulate(device_s)[:-1]])
+    kept = [state for state, new in zip(states, newer, strict=True) if new]
+    host_s = np.array([state.time_s for state in kept])
+    return kept, _on_host(device_s[newer], host_s, rate, "arm") - latency_s * rate
+
+
+def _on_host(device_s: Array, host_s: Array, rate: float, name: str) -> Array:
+    fit = fit_clock(device_s, host_s, rate=rate)
+    logger.info("%s clock: drift %.1f ppm, delivery within %.1f ms", name, fit.drift * 1e6, fit.spread_s * 1e3)
+    if fit.spread_s > MAX_SPREAD_S:
+        raise SweepError(
+            f"the {name}'s clock does not run with this computer's: samples came up to {fit.spread_s:.2f} s late",
+            remedy="Check the load of this computer and the unit of the device's time stamp; scan again.",
+        )
+    return fit.host_s(device_s)
+
+
+def _refuse_gaps(kept: Sequence[Profile], received: int, max_lost_share: float) -> None:
+    if len(kept) < MIN_PROFILES:
+        raise SweepError(f"the sweep has {len(kept)} usable profiles of {received} received")
+    lost = lost_profiles(kept)
+    share = lost / (lost + len(kept))
+    if share > max_lost_share:
+        raise SweepError(
+            f"{lost} of {lost + len(kept)} profiles were lost ({share:.0%}, at most {max_lost_share:.0%} allowed)"
+        )
