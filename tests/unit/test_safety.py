@@ -1,0 +1,237 @@
+"""The gate: which command is refused when, and by which rule."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from controller.commands import (
+    Announce,
+    AskCharger,
+    Command,
+    Comply,
+    Laser,
+    MoveJoints,
+    MoveLinear,
+    MoveVelocity,
+    StopMotion,
+    ZeroForce,
+)
+from controller.planning import FACING
+from controller.safety import Limits, Situation, check
+from controller.states import State
+from drivers.base import (
+    ArmState,
+    ChargerRequest,
+    ChargerState,
+    ChargerStatus,
+    Compliance,
+    Pilot,
+    PlugLock,
+    Proximity,
+    RobotMode,
+    SafetyMode,
+)
+from perception.geometry import Pose
+
+LIMITS = Limits(
+    workspace_min_m=(-1.3, -1.3, -0.3),
+    workspace_max_m=(1.3, 1.3, 1.3),
+    joint_speed_rad_s=0.7,
+    linear_speed_m_s=0.08,
+    insertion_speed_m_s=0.015,
+    withdraw_speed_m_s=0.025,
+    insertion_turn_rad_s=0.06,
+    axial_force_n=80.0,
+    lateral_force_n=30.0,
+    moment_nm=6.0,
+    capture_radius_m=0.002,
+)
+PORT = Pose(np.eye(3), np.array([0.5, 0.0, 0.3]))
+"""A port that faces up: insertion is downwards."""
+
+
+def tcp_at(depth_m: float, x_m: float = 0.0) -> Pose:
+    return PORT @ Pose(FACING, np.array([x_m, 0.0, -depth_m]))
+
+
+def arm_at(T_base_tcp: Pose, **changes: object) -> ArmState:
+    state = ArmState(
+        time_s=0.0,
+        device_time_s=0.0,
+        T_base_tcp=T_base_tcp,
+        T_flange_tcp=Pose.identity(),
+        joints=np.zeros(6),
+        tcp_speed=np.zeros(6),
+        wrench=np.zeros(6),
+        mode=RobotMode.RUNNING,
+        safety=SafetyMode.NORMAL,
+        moving=False,
+        program_running=True,
+        speed_scaling=1.0,
+    )
+    return replace(state, **changes)  # type: ignore[arg-type]
+
+
+CHARGER = ChargerStatus(
+    time_s=0.0,
+    state=ChargerState.READY,
+    proximity=Proximity.ABSENT,
+    pilot=Pilot.A,
+    lock=PlugLock.UNLOCKED,
+    contactor_closed=False,
+    dock_enable=True,
+    motion_inhibit=False,
+    estop=False,
+    fault_code=0,
+    voltage_v=0.0,
+    current_a=0.0,
+    electrical_time_s=0.0,
+)
+
+
+def situation(state: State, depth_m: float = -0.05, **charger: object) -> Situation:
+    status = replace(CHARGER, **charger)  # type: ignore[arg-type]
+    return Situation(state, arm_at(tcp_at(depth_m)), status, PORT)
+
+
+def rule(command: Command, now: Situation) -> str | None:
+    refusal = check(command, now, LIMITS)
+    return None if refusal is None else refusal.rule
+
+
+def compliance(push_n: float = 60.0, **changes: object) -> Comply:
+    task = Pose(PORT.rotation @ FACING, PORT.translation)
+    values = Compliance(task, (True,) * 6, (0, 0, push_n, 0, 0, 0), (0.01, 0.01, 0.015, 0.05, 0.05, 0.05))
+    return Comply(replace(values, **changes))  # type: ignore[arg-type]
+
+
+DOWN = MoveVelocity(np.array([0, 0, -0.01, 0, 0, 0.0]), 0.2)
+TO_RETREAT = MoveLinear(tcp_at(-0.09), 0.02, 0.3)
+
+MOTIONS: list[Command] = [MoveJoints(tcp_at(-0.1), 0.5, 1.0), TO_RETREAT, DOWN, compliance()]
+
+
+@pytest.mark.parametrize("state", list(State))
+@pytest.mark.parametrize(
+    "command", [StopMotion(), Laser(on=False), Announce(None), AskCharger(ChargerRequest.STOP_POWER)]
+)
+def test_what_makes_safe_is_allowed_in_every_state_and_blindly(state: State, command: Command) -> None:
+    assert rule(command, Situation(state, None, None)) is None
+
+
+@pytest.mark.parametrize("state", [State.FAULT, State.OFFLINE, State.READY, State.HOLD, State.CHARGING, State.LOCATING])
+@pytest.mark.parametrize("command", MOTIONS)
+def test_nothing_moves_in_states_without_motion(state: State, command: Command) -> None:
+    assert rule(command, situation(state)) == "state"
+
+
+def test_each_motion_is_allowed_in_its_own_state() -> None:
+    assert rule(MOTIONS[0], situation(State.STAGING)) is None
+    assert rule(TO_RETREAT, situation(State.APPROACHING)) is None
+    assert rule(DOWN, situation(State.INSERTING)) is None
+    assert rule(compliance(), situation(State.INSERTING)) is None
+    assert rule(TO_RETREAT, situation(State.RETREATING)) is None
+
+
+@pytest.mark.parametrize("mode", [m for m in RobotMode if m is not RobotMode.RUNNING])
+def test_no_motion_unless_the_robot_runs(mode: RobotMode) -> None:
+    now = replace(situation(State.STAGING), arm=arm_at(tcp_at(-0.1), mode=mode))
+    assert rule(MOTIONS[0], now) == "arm"
+
+
+@pytest.mark.parametrize("safety", [m for m in SafetyMode if m not in (SafetyMode.NORMAL, SafetyMode.REDUCED)])
+def test_no_motion_in_a_safety_stop(safety: SafetyMode) -> None:
+    now = replace(situation(State.STAGING), arm=arm_at(tcp_at(-0.1), safety=safety))
+    assert rule(MOTIONS[0], now) == "arm"
+
+
+def test_no_motion_without_fresh_arm_or_charger() -> None:
+    assert rule(MOTIONS[0], replace(situation(State.STAGING), arm=None)) == "arm"
+    assert rule(MOTIONS[0], replace(situation(State.STAGING), charger=None)) == "charger"
+
+
+def test_the_charger_can_inhibit_motion() -> None:
+    assert rule(DOWN, situation(State.INSERTING, motion_inhibit=True)) == "charger"
+    assert rule(DOWN, situation(State.INSERTING, estop=True)) == "charger"
+
+
+def test_targets_outside_the_workspace_or_not_finite_are_refused() -> None:
+    far = MoveLinear(Pose(np.eye(3), np.array([1.31, 0, 0])), 0.05, 0.3)
+    nan = MoveLinear(Pose(np.eye(3), np.array([np.nan, 0, 0])), 0.05, 0.3)
+    assert rule(far, situation(State.APPROACHING)) == "workspace"
+    assert rule(nan, situation(State.APPROACHING)) == "target"
+
+
+@given(st.floats(allow_nan=True, allow_infinity=True))
+def test_speeds_beyond_the_limit_or_not_finite_never_pass(speed: float) -> None:
+    allowed = rule(MoveLinear(tcp_at(-0.1), speed, 0.3), situation(State.APPROACHING)) is None
+    assert allowed == (0 < speed <= LIMITS.linear_speed_m_s)
+
+
+@pytest.mark.parametrize(
+    "wrench", [(0, 0, 81, 0, 0, 0), (25, 25, 0, 0, 0, 0), (0, 0, 10, 0, 7, 0), (0, 0, np.nan, 0, 0, 0)]
+)
+def test_forces_and_moments_over_the_cap_are_refused(wrench: tuple[float, ...]) -> None:
+    assert rule(compliance(wrench=wrench), situation(State.INSERTING)) == "force"
+
+
+def test_a_compliant_axis_may_not_be_faster_than_the_insertion_speed() -> None:
+    quick = compliance(limits=(0.01, 0.01, 0.02, 0.05, 0.05, 0.05))
+    assert rule(quick, situation(State.INSERTING)) == "speed"
+    assert rule(quick, situation(State.RETREATING)) is None
+
+
+def test_an_inserted_plug_moves_only_along_the_ports_axis() -> None:
+    inside = situation(State.RETREATING, depth_m=0.02, proximity=Proximity.INSERTED)
+    assert rule(MoveLinear(tcp_at(-0.09), 0.02, 0.3), inside) is None
+    assert rule(MoveLinear(tcp_at(-0.09, x_m=0.0025), 0.02, 0.3), inside) == "inserted"
+    tilted = compliance(T_base_task=Pose.from_rotvec([0.1, 0, 0]) @ PORT)
+    assert rule(tilted, situation(State.INSERTING, depth_m=0.02)) == "inserted"
+
+
+def test_proximity_alone_is_enough_to_count_as_inserted() -> None:
+    sensed = situation(State.STAGING, depth_m=-0.2, proximity=Proximity.LATCHED)
+    assert rule(MoveJoints(tcp_at(-0.1), 0.5, 1.0), sensed) == "inserted"
+
+
+def test_no_retreat_while_the_lock_is_not_known_to_be_open() -> None:
+    for lock in set(PlugLock) - {PlugLock.UNLOCKED}:
+        locked = situation(State.RETREATING, depth_m=0.03, proximity=Proximity.LATCHED, lock=lock)
+        assert rule(TO_RETREAT, locked) == "lock"
+
+
+@pytest.mark.parametrize("live", [{"contactor_closed": True}, {"current_a": 1.0}, {"electrical_time_s": -np.inf}])
+def test_a_live_plug_is_neither_unlocked_nor_pulled(live: dict[str, object]) -> None:
+    mated = replace(situation(State.RETREATING, depth_m=0.03, proximity=Proximity.INSERTED, **live), mated=True)
+    assert rule(TO_RETREAT, mated) == "live"
+    assert rule(AskCharger(ChargerRequest.UNLOCK_PLUG), replace(mated, state=State.RELEASING)) == "unlock"
+
+
+def test_power_needs_a_mated_plug() -> None:
+    charging = situation(State.CHARGING, proximity=Proximity.LATCHED)
+    assert rule(AskCharger(ChargerRequest.ENABLE_POWER), charging) == "power"
+    assert rule(AskCharger(ChargerRequest.ENABLE_POWER), replace(charging, mated=True)) is None
+    for state in set(State) - {State.CHARGING}:
+        assert rule(AskCharger(ChargerRequest.ENABLE_POWER), replace(charging, state=state, mated=True)) is not None
+
+
+def test_the_force_sensor_is_zeroed_only_at_rest_and_out_of_contact() -> None:
+    assert rule(ZeroForce(), situation(State.INSERTING, depth_m=-0.03)) is None
+    assert rule(ZeroForce(), situation(State.INSERTING, depth_m=0.001)) == "zero-force"
+    assert rule(ZeroForce(), situation(State.SELF_CHECK, proximity=Proximity.INSERTED)) == "zero-force"
+    moving = replace(situation(State.SELF_CHECK), arm=arm_at(tcp_at(-0.1), tcp_speed=np.full(6, 0.01)))
+    assert rule(ZeroForce(), moving) == "zero-force"
+
+
+@pytest.mark.parametrize("state", [s for s in State if s is not State.SCANNING])
+def test_the_laser_is_on_only_while_scanning(state: State) -> None:
+    assert rule(Laser(on=True), situation(state)) == "laser"
+
+
+def test_the_laser_may_be_on_while_scanning() -> None:
+    assert rule(Laser(on=True), situation(State.SCANNING)) is None
