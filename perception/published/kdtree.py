@@ -85,6 +85,11 @@ class AdaptiveKDTree:
         """The nodes themselves, for tests and pictures."""
         return self._tree
 
+    @property
+    def kept(self) -> Indices:
+        """Indices of the points that count, ascending."""
+        return np.sort(self._index[self._alive])
+
     def keep_only(self, keep: Mask) -> None:
         """Let only points with ``keep`` (N,) set count in ``query_knn`` from now on: O(N), no node is touched."""
         self._alive = keep[self._index]
