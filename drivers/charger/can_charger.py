@@ -36,6 +36,7 @@ from drivers.charger.messages import Codec, Contract, ElectricalFrame, FrameErro
 from drivers.charger.settings import CanSettings
 
 _log = logging.getLogger(__name__)
+_AT_ONCE = (ChargerRequest.ABORT, ChargerRequest.STOP_POWER)
 _EARLY = 0.9
 """A cyclic frame is due a little before its cycle is over, so that a tick that comes early does not skip one."""
 
@@ -162,7 +163,7 @@ class CanCharger:
             self._counters["foreign_frames"] += 1
             return
         with self._news:
-            if now_s - self._heard_s.get(identifier, now_s) > self._settings.lost_s:
+            if now_s - self._heard_s.get(identifier, now_s) > max(self._settings.lost_s, 5.0 * codec.cycle_s):
                 self._receivers[identifier].forget()
             self._heard_s[identifier] = now_s
             try:
@@ -206,7 +207,8 @@ class CanCharger:
     def request(self, request: ChargerRequest, argument: int = 0) -> int:
         """Start a command hand-shake; returns its sequence number.
 
-        The first frame goes out at once, repeats and resends with the heartbeats. An unfinished earlier request is
+        It goes out with the next heartbeat and after it, so that the charger knows what the heartbeat says (the plug
+        is mated, say) before it judges the request; what makes safe does not wait. An unfinished earlier request is
         given up as FAILED. Raises CommandRejectedError for an argument outside 0 to 65535.
         """
         if not 0 <= argument <= 0xFFFF:
@@ -214,7 +216,8 @@ class CanCharger:
         with self._lock:
             now_s = self._clock.now_s()
             sequence = self._handshake.start(request, argument, now_s)
-            self._link.send([self._command_frame(now_s)])
+            if request in _AT_ONCE:
+                self._link.send([self._command_frame(now_s)])
             return sequence
 
     def result(self, sequence: int) -> RequestResult:

@@ -11,7 +11,7 @@ from collections import OrderedDict
 from drivers.base import ChargerRequest, RequestResult
 
 _KEPT = 64
-_OPEN = (RequestResult.PENDING, RequestResult.ACCEPTED)
+_OPEN = (RequestResult.PENDING, RequestResult.ACCEPTED, RequestResult.BUSY)
 
 
 class Handshake:
