@@ -1,0 +1,75 @@
+"""Command line of the emulated controller: arguments, wiring to the mock world, one JSON line when ready."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import logging
+import signal
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from mocks.ur.arm import Arm, FreeSpace, Sensor
+from mocks.ur.controller import Controller
+from mocks.ur.kinematics import MODELS, Kinematics
+from mocks.ur.server import UrServer
+from mocks.world.blackboard import Blackboard
+from mocks.world.spec import WorldSpec
+
+START_JOINTS = (0.0, -1.5708, 1.5708, -1.5708, -1.5708, 0.0)
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run until SIGTERM or SIGINT."""
+    options = _parser().parse_args(arguments)
+    logging.basicConfig(level=options.log, stream=sys.stderr, format="%(name)s: %(message)s")
+    server = build(options)
+    for number in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(number, lambda *_: setattr(server, "stopping", True))
+    ports = {name: listener.port for name, listener in server.listeners.items()}
+    sys.stdout.write(json.dumps({"host": options.host, "ports": ports}) + "\n")
+    sys.stdout.flush()
+    server.run()
+    return 0
+
+
+def build(options: argparse.Namespace) -> UrServer:
+    """The server that the options describe. Raises OSError when a port is taken."""
+    world = None if options.world is None else WorldSpec.load(options.world)
+    board = None if options.world is None else Blackboard.attach(options.world)
+    model = options.model or (world.arm_model if world else "ur10e")
+    joints = world.start_joints if world else START_JOINTS
+    rng = np.random.default_rng(world.seed if world else 0)
+    arm = Arm(Kinematics(MODELS[model]), np.array(joints), FreeSpace(), Sensor(rng, 0.3, 0.01, 3.0, 0.1))
+    version = tuple(int(part) for part in options.version.split("."))
+    controller = Controller(arm, (version[0], version[1], version[2], version[3]))
+    controller.remote = not options.local
+    time_scale = board.time_scale if board else options.time_scale
+    server = UrServer(controller, options.host, options.rate, _clock(board, time_scale), time_scale)
+    if board is not None:
+        server.after_step = lambda: board.put_arm(controller.time_s, arm.reference.links[5])
+    return server
+
+
+def _clock(board: Blackboard | None, time_scale: float) -> Callable[[], float]:
+    if board is not None:
+        return board.world_time_s
+    start = time.monotonic()
+    return lambda: (time.monotonic() - start) * time_scale
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="python -m mocks.ur", description="An emulated UR e-Series controller.")
+    parser.add_argument("--host", default="127.0.0.2", help="loopback address of its own")
+    parser.add_argument("--world", type=Path, help="run folder with world.json and blackboard; without it, free space")
+    parser.add_argument("--model", choices=sorted(MODELS), help="default: the world's, or ur10e")
+    parser.add_argument("--version", default="5.15.0.0", help="PolyScope version, four numbers")
+    parser.add_argument("--rate", type=int, choices=(125, 500), default=500, help="steps and samples in a second")
+    parser.add_argument("--time-scale", type=float, default=1.0, help="emulated seconds per second, without --world")
+    parser.add_argument("--local", action="store_true", help="start in local mode: scripts are ignored")
+    parser.add_argument("--log", default="WARNING", help="log level")
+    return parser
