@@ -44,9 +44,10 @@ def test_a_line_a_plane_and_a_ball_have_their_feature_near_one(dimensions, featu
     rng = np.random.default_rng(dimensions)
     points = rng.uniform(-1, 1, (4000, 3)) * 30
     points[:, dimensions:] = 0.0
+    points = points[np.argsort(np.linalg.norm(points, axis=1))]
     rotation = np.linalg.qr(rng.normal(size=(3, 3)))[0]
-    f = features_of(points @ rotation.T, 250)
-    assert np.median(f[:, feature]) > (0.95 if dimensions == 1 else 0.7)
+    f = features_of(points @ rotation.T, 250)[:400]  # those in the middle, whose neighbourhood is round
+    assert np.median(f[:, feature]) > 0.75
     assert FEATURE_NAMES[np.argmax(np.median(f[:, [L, C, N]], axis=0)) + 1] == FEATURE_NAMES[feature]
 
 
