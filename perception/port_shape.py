@@ -295,21 +295,36 @@ class _Maker:
 
     def prism(self, part: str, outline: Outline, stations: Sequence[tuple[float, float]]) -> Manifold:
         """The solid through ``outline`` grown by each station's offset at its depth: (depth, offset) in mm."""
-        rings = [_ring(outline, depth, grow) for depth, grow in stations]
-        slabs = [Manifold.hull_points(np.vstack(pair)) for pair in pairwise(rings)]
+        slabs = [Manifold.hull_points(np.vstack(pair)) for pair in pairwise(_rings(outline, stations))]
         for slab in slabs:
             self.part_of[slab.original_id()] = PARTS.index(part)
         return sum(slabs[1:], slabs[0])
 
 
+def loft_mm(outline: Outline, stations: Sequence[tuple[float, float]]) -> Manifold:
+    """The solid through ``outline`` grown by each station's offset at its depth: (depth, offset) in mm, for scenes."""
+    slabs = [Manifold.hull_points(np.vstack(pair)) for pair in pairwise(_rings(outline, stations))]
+    return sum(slabs[1:], slabs[0])
+
+
+def outline_bounds(outline: Outline) -> tuple[float, float, float, float]:
+    """(smallest x, smallest y, largest x, largest y) of an outline in metres."""
+    low_x, low_y, high_x, high_y = _section(outline, 0.0).bounds()
+    return low_x / _MM, low_y / _MM, high_x / _MM, high_y / _MM
+
+
 def _face_depth(shape: PortShape, contact: Contact) -> float:
     """Face depth of the insert whose outline holds the contact; the nearest to the rim if none does."""
     for insert in shape.inserts:
-        low_x, low_y, high_x, high_y = _section(insert.outline, 0.0).bounds()
-        x, y = contact.centre_m[0] * _MM, contact.centre_m[1] * _MM
+        low_x, low_y, high_x, high_y = outline_bounds(insert.outline)
+        x, y = contact.centre_m
         if low_x <= x <= high_x and low_y <= y <= high_y:
             return insert.face_depth_m
     return min(insert.face_depth_m for insert in shape.inserts)
+
+
+def _rings(outline: Outline, stations: Sequence[tuple[float, float]]) -> list[Array]:
+    return [_ring(outline, depth, grow) for depth, grow in stations]
 
 
 def _ring(outline: Outline, depth: float, grow: float) -> Array:
