@@ -138,15 +138,17 @@ class MockCell:
     def __enter__(self) -> MockCell:
         """Start all three. Raises LinkOpenError when one does not come up."""
         self._folder.mkdir(parents=True, exist_ok=True)
-        self._world().save(self._folder)
+        world, port = self._world(), load_port(self._base.port.model)
+        world.save(self._folder)
+        world.save_shape(self._folder, port.shape)
         Blackboard.create(self._folder, self._time_scale).close()
         host = free_loopback()
-        world = ["--world", str(self._folder)]
+        folder = ["--world", str(self._folder)]
         scanner, can = str(self._folder / "scanner"), str(self._folder / "can")
         try:
-            self._start("ur", [*world, "--host", host, "--rate", str(self._base.arm.frequency_hz)])
-            self._start("scanner", [*world, "--link", scanner, "--source", "world", "--seed", str(self._seed)])
-            self._start("charger", [*world, "--link", can])
+            self._start("ur", [*folder, "--host", host, "--rate", str(self._base.arm.frequency_hz)])
+            self._start("scanner", [*folder, "--link", scanner, "--source", "world", "--seed", str(self._seed)])
+            self._start("charger", [*folder, "--link", can])
             for process in self._processes:
                 _await_ready(process)
         except BaseException:

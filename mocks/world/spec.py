@@ -1,6 +1,7 @@
 """The world that the three mocks share, as values: what is true, which the controller does not know.
 
-Written as ``world.json`` into the run's folder before the mocks start; each mock reads it there.
+Written as ``world.json`` into the run's folder before the mocks start; each mock reads it there. Beside it lies the
+inlet's nominal shape as ``port_shape.json`` (``perception.port_shape_json``), since mocks read no YAML.
 """
 
 from __future__ import annotations
@@ -12,6 +13,8 @@ from pathlib import Path
 from typing import Any, Literal
 
 from perception.geometry import Pose
+from perception.port_shape import PortShape
+from perception.port_shape_json import shape_from_json, shape_to_json
 
 Panel = Literal["port", "plain"]
 Vector6 = tuple[float, float, float, float, float, float]
@@ -48,6 +51,15 @@ class WorldSpec:
         values: Any = json.loads((folder / "world.json").read_text())
         fields: Any = {key: tuple(value) if isinstance(value, list) else value for key, value in values.items()}
         return WorldSpec(**fields)
+
+    @staticmethod
+    def load_shape(folder: Path) -> PortShape:
+        """Read ``port_shape.json`` from a run's folder."""
+        return shape_from_json((folder / "port_shape.json").read_text(encoding="utf-8"))
+
+    def save_shape(self, folder: Path, shape: PortShape) -> None:
+        """Write ``port_shape.json`` into a run's folder."""
+        (folder / "port_shape.json").write_text(shape_to_json(shape), encoding="utf-8")
 
     def save(self, folder: Path) -> None:
         """Write ``world.json`` into a run's folder."""
