@@ -21,10 +21,10 @@ from perception.surface import Surface, visible_surface
 
 _log = logging.getLogger(__name__)
 
-_VERSION = "3"
+_VERSION = "4"
 """Part of the cache key: raise it when the preparation changes."""
-FINE_SPACING_M = 0.0007
-COARSE_SPACING_M = 0.0015
+SPACING_M = 0.0008
+EDGE_SPACING_M = 0.0004
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,7 +78,7 @@ class PortModel:
         path = (cache_dir or default_cache_dir()) / f"model-{_VERSION}-{checksum[:20]}.npz"
         prepared = _load(path)
         if prepared is None:
-            surface = visible_surface(vertices, faces).thinned(FINE_SPACING_M)
+            surface = visible_surface(vertices, faces).thinned(SPACING_M, EDGE_SPACING_M)
             prepared = surface, build_nearest(surface)
             _save(path, *prepared)
         return PortModel(
@@ -122,7 +122,7 @@ def _load(path: Path) -> tuple[Surface, NearestField] | None:
     try:
         with np.load(path, allow_pickle=False) as archive:
             columns = archive["surface"].astype(np.float64)
-            surface = Surface(columns[:, :3], columns[:, 3:6], columns[:, 6], columns[:, 7])
+            surface = Surface(columns[:, :3], columns[:, 3:6], *columns[:, 6:].T)
             grid = archive["grid"]
             return surface, NearestField(grid[:3], archive["index"], float(grid[3]), len(surface))
     except FileNotFoundError:
@@ -134,7 +134,7 @@ def _load(path: Path) -> tuple[Surface, NearestField] | None:
 
 def _save(path: Path, surface: Surface, nearest: NearestField) -> None:
     """Writes beside and renames, so that two processes at once do no harm. What cannot be written is not cached."""
-    columns = np.column_stack([surface.points, surface.normals, surface.visibility, surface.crease])
+    columns = np.column_stack([surface.points, surface.normals, surface.visibility, surface.edge_m, surface.area_m2])
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.NamedTemporaryFile(dir=path.parent, suffix=".tmp", delete=False) as file:

@@ -9,6 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import small_gicp
 from scipy.spatial import cKDTree
 
 from perception.crop import Scene
@@ -21,7 +22,12 @@ _REACH_M = 0.003
 _MIN_SCALE_M = 0.00003
 _TUKEY = 4.0
 """Points further off than this many robust standard deviations have no weight."""
-_CREASE_LOSS = 0.9
+_FIRST_GATE_M = 0.0015
+_GATE_SHRINK = 0.75
+_NEIGHBOURS = 16
+_MIN_COSINE = 0.7
+_EDGE_SIGMAS = 2.5
+"""A point nearer to an edge than this many standard deviations may belong to either side."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -55,6 +61,7 @@ def refine(start: Pose, scene: Scene, model: PortModel, *, rounds: int = ROUNDS,
     points, origins = scene.points[near], scene.origins[near]
     if len(points) < 50:
         raise DegenerateCloudError("hardly any scan point lies near the port's surface")
+    measured = _normals(points, origins, threads)
     result: Refined | None = None
     for round_ in range(rounds):
         inverse = pose.inverse()
@@ -64,19 +71,30 @@ def refine(start: Pose, scene: Scene, model: PortModel, *, rounds: int = ROUNDS,
         local, index = local[valid], index[valid]
         n = surface.normals[index]
         distance = np.einsum("ij,ij->i", local - surface.points[index], n)
-        seen = np.einsum("ij,ij->i", inverse.apply(origins[valid]) - local, n) > 0
-        base = seen * (1.0 - _CREASE_LOSS * surface.crease[index])
-        scale = _robust_scale(distance[base > 0.3], previous=scale)
-        u = distance / (_TUKEY * scale)
+        usable = (np.einsum("ij,ij->i", inverse.apply(origins[valid]) - local, n) > 0) & (
+            np.einsum("ij,ij->i", inverse.rotate(measured[valid]), n) > _MIN_COSINE
+        )
+        scale = _robust_scale(distance[usable], previous=scale)
+        base = usable * np.clip(surface.edge_m[index] / (_EDGE_SIGMAS * scale) - 0.5, 0.0, 1.0)
+        gate = max(_TUKEY * scale, _FIRST_GATE_M * _GATE_SHRINK**round_)
+        u = distance / gate
         weight = np.where(np.abs(u) < 1, (1 - u**2) ** 2, 0.0) * base
         jacobian = np.concatenate([n, np.cross(local, n)], axis=1)
         result = Refined(pose, jacobian, distance, weight, local, scale)
         step = _step(result)
         pose = _moved(pose, step)
-        if round_ > 2 and np.linalg.norm(step[:3]) < 1e-6 and np.linalg.norm(step[3:]) < 1e-5:
+        if gate <= _TUKEY * scale and np.linalg.norm(step[:3]) < 1e-6 and np.linalg.norm(step[3:]) < 1e-5:
             break
     assert result is not None
     return Refined(pose, result.jacobian, result.distance, result.weight, result.local, result.scale_m)
+
+
+def _normals(points: Array, origins: Array, threads: int) -> Array:
+    cloud = small_gicp.PointCloud(points)
+    small_gicp.estimate_normals(cloud, small_gicp.KdTree(cloud, threads), _NEIGHBOURS, threads)
+    normals: Array = np.asarray(cloud.normals())[:, :3].copy()
+    normals[np.einsum("ij,ij->i", normals, origins - points) < 0] *= -1.0
+    return normals
 
 
 def _nearest(tree: cKDTree, local: Array, threads: int) -> Array:

@@ -26,8 +26,7 @@ def flat_weights(surface: Surface) -> Array:
     facing = surface.normals[:, 2] > 0.95
     level = np.round(surface.points[:, 2] / 0.001).astype(np.int64)
     level -= level.min()
-    sample_area = 0.0007**2
-    area = np.bincount(level[facing], minlength=int(level.max()) + 1)[level] * sample_area
+    area = np.bincount(level[facing], surface.area_m2[facing], minlength=int(level.max()) + 1)[level]
     weight = np.where(facing, np.minimum(1.0, np.sqrt(_SMALL_FLAT_M2 / np.maximum(area, 1e-9))), 1.0)
     return np.asarray(weight * np.sqrt(surface.visibility))
 

@@ -15,7 +15,10 @@ from scipy.spatial import cKDTree
 
 from perception.geometry import Array
 
-SPACING_M = 0.0004
+SPACING_M = 0.0003
+FAR_M = 0.005
+NEAR_EDGE_M = 0.0015
+EDGE_COSINE = 0.8
 PIXEL_M = 0.0008
 _RINGS = ((0.0, 1), (15.0, 6), (30.0, 10), (45.0, 12), (55.0, 12))
 """(angle from +z in degrees, number of directions around it)."""
@@ -31,19 +34,23 @@ class Surface:
     """(M, 3) unit, towards the side it is seen from."""
     visibility: Array
     """(M,) share of the front directions that see the sample, above 0."""
-    crease: Array
-    """(M,) 0 on smooth surface, to 1 at a sharp edge; scan points there mix two surfaces."""
+    edge_m: Array
+    """(M,) distance to the nearest sharp edge, at most ``FAR_M``; scan points near one mix two surfaces."""
+    area_m2: Array
+    """(M,) the area that each sample stands for."""
 
     def __len__(self) -> int:
         return len(self.points)
 
-    def thinned(self, spacing_m: float) -> Surface:
-        """At most one sample for each cell of ``spacing_m`` and facing direction."""
+    def thinned(self, spacing_m: float, edge_spacing_m: float) -> Surface:
+        """Fewer samples, one for each cell and facing direction; denser near edges, where the nearest one must be right."""
         facing = np.round(self.normals).astype(np.int64) @ np.array([1, 3, 9])
-        cells = np.column_stack([np.floor(self.points / spacing_m).astype(np.int64), facing])
-        keep = np.unique(cells, axis=0, return_index=True)[1]
-        keep.sort()
-        return Surface(self.points[keep], self.normals[keep], self.visibility[keep], self.crease[keep])
+        spacing = np.where(self.edge_m < NEAR_EDGE_M, edge_spacing_m, spacing_m)
+        cells = np.floor(self.points / spacing[:, None]).astype(np.int64)
+        key = np.column_stack([cells, facing, spacing > edge_spacing_m])
+        _, keep, group = np.unique(key, axis=0, return_index=True, return_inverse=True)
+        area = np.bincount(group.reshape(-1), self.area_m2)
+        return Surface(self.points[keep], self.normals[keep], self.visibility[keep], self.edge_m[keep], area)
 
 
 def sample_mesh(vertices: Array, faces: NDArray[np.int64], spacing_m: float) -> tuple[Array, Array]:
@@ -87,7 +94,7 @@ def visible_surface(vertices: Array, faces: NDArray[np.int64], spacing_m: float 
     share = front / len(directions)
     keep = share >= 1.5 / len(directions)
     points, normals, share = points[keep], normals[keep], share[keep]
-    return Surface(points, normals, share, _crease(points, normals))
+    return Surface(points, normals, share, _edge_distance(points, normals), np.full(len(points), spacing_m**2))
 
 
 def front_directions() -> Array:
@@ -115,9 +122,12 @@ def _seen_from(points: Array, normals: Array, direction: Array) -> NDArray[np.bo
     return np.asarray(depth > nearest[flat] - (0.0003 + PIXEL_M * slope))
 
 
-def _crease(points: Array, normals: Array, radius_m: float = 0.0007) -> Array:
-    """How differently the neighbours within about ``radius_m`` face: 1 - mean cosine, scaled to reach 1 at an edge."""
+def _edge_distance(points: Array, normals: Array, radius_m: float = 0.0007) -> Array:
+    """How far each sample is from the nearest one whose neighbours within ``radius_m`` face another way."""
     index = np.asarray(cKDTree(points).query(points, k=9, distance_upper_bound=radius_m, workers=2)[1])
     index = np.where(index == len(points), np.arange(len(points))[:, None], index)
     cosine = np.einsum("nkj,nj->nk", normals[index], normals)
-    return np.asarray(np.clip(3.0 * (1.0 - cosine.mean(axis=1)), 0.0, 1.0))
+    at_edge = cosine.min(axis=1) < EDGE_COSINE
+    if not at_edge.any():
+        return np.full(len(points), FAR_M)
+    return np.minimum(np.asarray(cKDTree(points[at_edge]).query(points, workers=2)[0]), FAR_M)

@@ -1,0 +1,41 @@
+"""What ``portdock locate`` is given beside scans: the expected pose and the models, checked."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+from controller.port_files import bundled_ports
+from controller.port_models import port_model
+from perception.errors import InputError
+from perception.estimate import Prior
+from perception.geometry import Pose
+from perception.port_model import PortModel
+
+
+def read_prior(path: Path) -> Prior:
+    """The expected pose from a JSON file with the key ``prior``. Raises InputError."""
+    remedy = "Give a JSON file whose key 'prior' is a 4x4 pose T_scanner_port in metres."
+    try:
+        content = json.loads(path.read_text("utf-8"))
+    except OSError as error:
+        raise InputError(f"{path}: {error.strerror or error}", remedy=remedy) from error
+    except ValueError as error:
+        raise InputError(f"{path.name} is not JSON: {error}".replace("\n", " "), remedy=remedy) from error
+    if not isinstance(content, dict) or "prior" not in content:
+        raise InputError(f"{path.name} has no key 'prior'", remedy=remedy)
+    try:
+        return Prior(Pose.from_matrix(content["prior"]))
+    except (ValueError, TypeError) as error:
+        raise InputError(f"{path.name}: the prior is not a pose: {error}", remedy=remedy) from error
+
+
+def requested_models(request: str, unit: str) -> list[PortModel]:
+    """The models that ``--model`` names: one, several with commas between, or ``auto`` for all bundled ones.
+
+    Raises UnknownPortError, MeshError, UnitError.
+    """
+    names = bundled_ports() if request == "auto" else tuple(part.strip() for part in request.split(",") if part.strip())
+    if not names:
+        raise InputError("--model names no model", remedy=f"Use one of {', '.join(bundled_ports())}, or a mesh file.")
+    return [port_model(name, unit) for name in names]
