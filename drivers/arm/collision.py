@@ -1,0 +1,175 @@
+"""Clearance of an arm from itself and from boxes, with each link as a capsule: pure and vectorised over poses.
+
+Coarse on purpose: it refuses motions that fold the arm into itself or sweep it through the open cover or the
+vehicle's panel. It is no safety function, and a clearance of centimetres is not measured to millimetres. Link offsets
+are those of Universal Robots' published models; radii are taken generously from their outlines.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from drivers.arm.kinematics import ArmModel, frames_many
+from perception.geometry import Array, Pose
+
+LINKS = ("base", "shoulder", "upper arm", "elbow", "forearm", "wrist 1", "wrist 2", "wrist 3", "tool")
+TOOL = LINKS.index("tool")
+
+_SELF_PAIRS = np.array(
+    [(0, k) for k in (4, 5, 6, 7, 8)]
+    + [(1, k) for k in (4, 5, 6, 7, 8)]
+    + [(2, k) for k in (5, 6, 7, 8)]
+    + [(3, k) for k in (6, 7, 8)]
+    + [(4, k) for k in (7, 8)]
+)
+"""Links that can meet; neighbours along the arm always touch and are left out."""
+
+_FRAME_OF_LINK = np.array([0, 1, 2, 2, 3, 3, 4, 5, 6])
+
+_GOLDEN = (np.sqrt(5.0) - 1.0) / 2.0
+_GOLDEN_ROUNDS = 20
+"""Leaves 7e-5 of a link's length."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Size:
+    """Sideways offsets of the two long links from the arm's plane, and radii, in metres."""
+
+    shoulder_offset: float
+    elbow_offset: float
+    upper_radius: float
+    fore_radius: float
+    wrist_radius: float
+
+
+_SMALL = _Size(0.120, 0.027, 0.055, 0.045, 0.040)
+_MEDIUM = _Size(0.138, 0.007, 0.065, 0.050, 0.045)
+_LARGE = _Size(0.1762, 0.0393, 0.075, 0.060, 0.055)
+_SLIM = _Size(0.193, 0.071, 0.080, 0.065, 0.055)
+_HEAVY = _Size(0.260, 0.043, 0.095, 0.075, 0.065)
+_SIZES = {
+    "ur3e": _SMALL,
+    "ur5e": _MEDIUM,
+    "ur7e": _MEDIUM,
+    "ur10e": _LARGE,
+    "ur12e": _LARGE,
+    "ur16e": _LARGE,
+    "ur15": _SLIM,
+    "ur20": _HEAVY,
+    "ur30": _HEAVY,
+}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Box:
+    """Something solid in the base frame."""
+
+    name: str
+    T_base_box: Pose
+    """Pose of the box's centre."""
+    half_size: tuple[float, float, float]
+    """Half of each edge, m."""
+    tool_may_touch: bool = False
+    """True for the vehicle's panel, which the plug is meant to meet."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Tool:
+    """The tool as one capsule from the flange to its tip."""
+
+    tip: tuple[float, float, float]
+    """In the flange frame, m; usually the TCP."""
+    radius: float = 0.05
+
+
+@dataclass(frozen=True, slots=True)
+class Clearance:
+    """The smallest distance along a path; negative where bodies overlap."""
+
+    distance_m: float
+    what: str
+    """The two bodies, such as ``forearm and cover``."""
+    sample: int
+    """At which of the poses."""
+
+
+def clearance(model: ArmModel, joints: Array, tool: Tool, boxes: tuple[Box, ...] = ()) -> Clearance:
+    """Smallest distance of the arm from itself and from ``boxes`` over joint vectors (K, 6)."""
+    starts, ends, radii = _capsules(model, np.asarray(joints, dtype=np.float64), tool)
+    found = [_self_clearance(starts, ends, radii)]
+    found += [_box_clearance(starts, ends, radii, box) for box in boxes]
+    return min(found, key=lambda one: one.distance_m)
+
+
+def _capsules(model: ArmModel, joints: Array, tool: Tool) -> tuple[Array, Array, Array]:
+    """Axes of all links in the base frame: starts and ends (K, 9, 3), and radii (9,)."""
+    size = _SIZES[model.name]
+    so, eo = size.shoulder_offset, size.elbow_offset
+    local = np.array(
+        [
+            [(0, 0, 0), (0, 0, model.d1)],
+            [(0, 0, 0), (0, 0, so)],
+            [(0, 0, so), (-model.a2, 0, so)],
+            [(0, 0, so), (0, 0, eo)],
+            [(0, 0, eo), (-model.a3, 0, eo)],
+            [(0, 0, eo), (0, 0, model.d4)],
+            [(0, 0, 0), (0, 0, model.d5)],
+            [(0, 0, 0), (0, 0, model.d6)],
+            [(0, 0, 0), tool.tip],
+        ],
+        dtype=np.float64,
+    )
+    u, f, w = size.upper_radius, size.fore_radius, size.wrist_radius
+    radii = np.array([u, u, u, f, f, w, w, w, tool.radius])
+    frames = frames_many(model, joints)[:, _FRAME_OF_LINK]
+    ends = np.einsum("klij,lej->klei", frames[..., :3, :3], local) + frames[..., None, :3, 3]
+    return ends[:, :, 0], ends[:, :, 1], radii
+
+
+def _self_clearance(starts: Array, ends: Array, radii: Array) -> Clearance:
+    a, b = _SELF_PAIRS.T
+    distance = segment_distance(starts[:, a], ends[:, a], starts[:, b], ends[:, b]) - radii[a] - radii[b]
+    sample, pair = np.unravel_index(int(np.argmin(distance)), distance.shape)
+    what = f"{LINKS[a[pair]]} and {LINKS[b[pair]]}"
+    return Clearance(float(distance[sample, pair]), what, int(sample))
+
+
+def _box_clearance(starts: Array, ends: Array, radii: Array, box: Box) -> Clearance:
+    """The base stands where it stands: links from the shoulder on are looked at."""
+    links = np.arange(1, TOOL if box.tool_may_touch else TOOL + 1)
+    inverse = box.T_base_box.inverse()
+    start, end = (inverse.apply(points[:, links].reshape(-1, 3)) for points in (starts, ends))
+    gap = segment_box_distance(start, end, np.asarray(box.half_size)).reshape(-1, len(links)) - radii[links]
+    sample, link = np.unravel_index(int(np.argmin(gap)), gap.shape)
+    return Clearance(float(gap[sample, link]), f"{LINKS[links[link]]} and {box.name}", int(sample))
+
+
+def segment_distance(p1: Array, q1: Array, p2: Array, q2: Array) -> Array:
+    """Distance between segments p1-q1 and p2-q2, arrays (..., 3), by the closest points of the clamped lines."""
+    d1, d2, r = q1 - p1, q2 - p2, p1 - p2
+    a, e, f = (d1 * d1).sum(-1), (d2 * d2).sum(-1), (d2 * r).sum(-1)
+    c, b = (d1 * r).sum(-1), (d1 * d2).sum(-1)
+    tiny = 1e-12
+    denominator = a * e - b * b
+    s = np.where(denominator > tiny, np.clip((b * f - c * e) / np.maximum(denominator, tiny), 0, 1), 0.0)
+    t = np.clip((b * s + f) / np.maximum(e, tiny), 0, 1)
+    s = np.clip((b * t - c) / np.maximum(a, tiny), 0, 1)
+    t = np.clip((b * s + f) / np.maximum(e, tiny), 0, 1)
+    return np.asarray(np.linalg.norm(r + d1 * s[..., None] - d2 * t[..., None], axis=-1))
+
+
+def segment_box_distance(start: Array, end: Array, half_size: Array) -> Array:
+    """Distance of segments (N, 3) from a box at the origin; 0 inside. Convex along a segment: golden section."""
+
+    def at(share: Array) -> Array:
+        point = start + share[:, None] * (end - start)
+        return np.asarray(np.linalg.norm(np.maximum(np.abs(point) - half_size, 0.0), axis=1))
+
+    low, high = np.zeros(len(start)), np.ones(len(start))
+    for _ in range(_GOLDEN_ROUNDS):
+        left, right = high - _GOLDEN * (high - low), low + _GOLDEN * (high - low)
+        nearer_left = at(left) < at(right)
+        low, high = np.where(nearer_left, low, left), np.where(nearer_left, right, high)
+    return at((low + high) / 2)
