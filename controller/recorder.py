@@ -3,8 +3,8 @@
 Every method only queues and returns, so that reader threads and the supervisor's tick never wait for the disk; one
 thread of its own writes. When the disk does not keep up, the samples of the links are dropped, counted and named in
 the recording; the mission's own events (transitions, decisions, estimates) never are. When the disk refuses,
-recording ends: the error is raised once, to the controller, never to a reader thread, and what was written so far
-stays readable.
+recording ends and what was written so far stays readable: ``failure`` says why and ``flush`` raises it, once. Nothing
+else raises, so that a full disk never breaks into a reader thread or into a transition with the plug in the port.
 """
 
 from __future__ import annotations
@@ -121,14 +121,10 @@ class Recorder:
     # --- events of the mission: never dropped -------------------------------------------------------------------------
 
     def transition(self, from_state: str, event: str, to_state: str, time_s: float) -> None:
-        """A step of the state machine at the mission's time ``time_s``; the file is synced behind it, in the background.
-
-        Raises RecordingError, once, if the recording has failed since.
-        """
+        """A step of the state machine at the mission's time ``time_s``; the file is synced in the background."""
         step = Transition(self._clock.now_s(), from_state, event, to_state, time_s)
         self._event(schemas.STATE, step.time_s, lambda: messages.encode_transition(step))
         self._submit(lambda file: file.sync())
-        self._raise_failure_once()
 
     def command(self, name: str, detail: str, allowed: bool, reason: str = "") -> None:
         """What the safety gate said to a command."""

@@ -86,8 +86,8 @@ def test_a_full_disk_ends_the_recording_but_not_the_mission(tmp_path: Path) -> N
         for k in range(100):
             for n in range(5):
                 recorder.scanner_bytes("rx", os.urandom(1000), k)
+            recorder.transition("A", "e", "B", float(k))
             try:
-                recorder.transition("A", "e", "B", float(k))
                 recorder.flush()
             except RecordingError as error:
                 errors += 1

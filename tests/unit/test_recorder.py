@@ -197,12 +197,12 @@ def test_a_full_disk_is_told_once_to_the_controller_and_never_to_a_reader_thread
     with pytest.raises(RecordingError, match="No space left") as raised:
         recorder.flush()
     assert "disk space" in raised.value.remedy
+    assert recorder.failure is raised.value
     recorder.scanner_bytes("rx", b"more", 3)
     recorder.arm_state(arm_state(2.0))
     recorder.transition("SELF_CHECK", "ok", "READY", 2.0)
     recorder.flush()
     recorder.close(summary())
-    assert recorder.failure is raised.value
     recording = read_recording(tmp_path / "m.mcap")
     assert [t.to_state for t in recording.transitions()] == ["SELF_CHECK"]
     assert not recording.complete
