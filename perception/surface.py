@@ -43,13 +43,13 @@ class Surface:
         return len(self.points)
 
     def thinned(self, spacing_m: float, edge_spacing_m: float) -> Surface:
-        """Fewer samples, one for each cell and facing direction; denser near edges, where the nearest one must be right."""
+        """Fewer samples, one for each cell and facing direction; denser near edges, where it matters more."""
         facing = np.round(self.normals).astype(np.int64) @ np.array([1, 3, 9])
         spacing = np.where(self.edge_m < NEAR_EDGE_M, edge_spacing_m, spacing_m)
         cells = np.floor(self.points / spacing[:, None]).astype(np.int64)
         key = np.column_stack([cells, facing, spacing > edge_spacing_m])
         _, keep, group = np.unique(key, axis=0, return_index=True, return_inverse=True)
-        area = np.bincount(group.reshape(-1), self.area_m2)
+        area = np.asarray(np.bincount(group.reshape(-1), self.area_m2), dtype=np.float64)
         return Surface(self.points[keep], self.normals[keep], self.visibility[keep], self.edge_m[keep], area)
 
 
@@ -130,4 +130,5 @@ def _edge_distance(points: Array, normals: Array, radius_m: float = 0.0007) -> A
     at_edge = cosine.min(axis=1) < EDGE_COSINE
     if not at_edge.any():
         return np.full(len(points), FAR_M)
-    return np.minimum(np.asarray(cKDTree(points[at_edge]).query(points, workers=2)[0]), FAR_M)
+    distance: Array = cKDTree(points[at_edge]).query(points, workers=2)[0]
+    return np.minimum(distance, FAR_M)
