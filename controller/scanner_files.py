@@ -36,11 +36,6 @@ class ScannerDescription:
     range_noise_m: float
     """1 sigma of one measured range."""
 
-    @property
-    def latency_s(self) -> float:
-        """Least delay from the device's time stamp (mid-exposure) to the frame's last byte: exposure and wire time."""
-        return self.exposure_s / 2 + self.layout.size * 10 / self.baud_rate
-
 
 def bundled_scanners() -> list[str]:
     """Names of the descriptions that portdock brings."""

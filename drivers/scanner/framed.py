@@ -28,7 +28,14 @@ class FramedTimeouts:
 
 
 class FramedScanner:
-    """``drivers.base.Scanner`` for devices that stream. Profiles wait in a bounded queue; the oldest go first."""
+    """``drivers.base.Scanner`` for devices that stream. Profiles wait in a bounded queue; the oldest go first.
+
+    ``Profile.time_s`` is the time at which the frame's last byte was read, less what no frame can be faster than: half
+    the exposure and the wire time.
+
+    :param exposure_s: length of one exposure; the device's time stamp is its middle
+    :param time_scale: device seconds per host second: not 1 only where a mock runs faster than the wall clock
+    """
 
     def __init__(
         self,
@@ -37,6 +44,9 @@ class FramedScanner:
         sink: ByteSink,
         clock: Clock,
         timeouts: FramedTimeouts | None = None,
+        *,
+        exposure_s: float = 0.0,
+        time_scale: float = 1.0,
         queue_profiles: int = 8192,
     ) -> None:
         self._settings = settings
@@ -52,11 +62,8 @@ class FramedScanner:
         self._abandon = False
         self._last_good_s: float | None = None
         self._started_s = 0.0
-
-    @property
-    def wire_time_s(self) -> float:
-        """Time that one frame takes on the line (8N1: ten bits a byte): the least delay from its first to last byte."""
-        return self._layout.size * 10 / self._settings.baud_rate
+        wire_time_s = layout.size * 10 / settings.baud_rate  # 8N1: ten bits a byte
+        self._latency_ns = round((exposure_s / 2 + wire_time_s) / time_scale * 1e9)
 
     def open(self) -> None:
         """Open the line. Raises LinkOpenError."""
@@ -115,7 +122,7 @@ class FramedScanner:
             if self._abandon:
                 self._abandon = False
                 self._parser.abandon_partial()
-            profiles = self._parser.feed(chunk, host_time_ns)
+            profiles = self._parser.feed(chunk, host_time_ns - self._latency_ns)
             wanted = self._streaming or self._layout.start is not None  # a device without a switch streams unasked
             if profiles and wanted:
                 self._last_good_s = host_time_ns * 1e-9

@@ -3,8 +3,8 @@
 Prints one JSON line, ``{"device": PATH, "protocol": ..., "pid": ...}``, when it listens. What it sees (``--source``):
 
 - ``groove``: a made-up panel, no world needed;
-- ``world``: ray-cast from the mock world in ``--world DIR``. The folder holds ``world.json`` (WorldSpec.save) and
-  ``blackboard`` (Blackboard.create), both made before this process starts;
+- ``world``: ray-cast from the mock world in ``--world DIR``. The folder holds ``world.json`` (WorldSpec.save),
+  ``port_shape.json`` (mocks.scanner.shape_file.save_shape) and ``blackboard`` (Blackboard.create);
 - any other value: the path of a recorded sweep (.npz, see mocks/scanner/sources.py).
 
 Without ``--baud`` the device speaks at whatever rate the client has set; with it, a client at another rate gets
@@ -34,12 +34,15 @@ from mocks.scanner.wire_faults import FaultRates, WireFaults
 
 def main(arguments: list[str] | None = None) -> int:
     """Run until SIGTERM, SIGINT or end of the parent's pipe. Returns the exit code."""
-    options = _parser().parse_args(arguments)
+    parser = _parser()
+    options = parser.parse_args(arguments)
+    if options.source == "world" and options.world is None:
+        parser.error("--source world needs --world DIR")
     stopping = threading.Event()
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda *_: stopping.set())
     rng = np.random.default_rng(options.seed)
-    source, clock = _source(options)
+    source, clock = _source(options, rng)
     line = PtyLine(options.link)
     rates = FaultRates(options.lost, options.doubled, options.flipped, options.stall_at_s, options.stall_s)
     buffer_bytes = int(options.buffer_bytes * max(1.0, clock.scale))  # the client's wall time to react stays the same
@@ -65,9 +68,14 @@ def main(arguments: list[str] | None = None) -> int:
     return 0
 
 
-def _source(options: argparse.Namespace) -> tuple[Source, EmulatedClock]:
+def _source(options: argparse.Namespace, rng: np.random.Generator) -> tuple[Source, EmulatedClock]:
     if options.source == "groove":
         return GrooveSource(), EmulatedClock.of_wall(options.time_scale)
+    if options.source == "world":
+        from mocks.scanner.world_source import WorldSource  # the ray-caster takes seconds to import
+
+        world = WorldSource(options.world, rng)
+        return world, world.clock
     return RecordedSource(Path(options.source)), EmulatedClock.of_wall(options.time_scale)
 
 
