@@ -70,6 +70,10 @@ class Cell:
     limits: Limits
     reach: ReachCheck
     records: CommandLog
+    profile_latency_s: float = 0.0
+    """Least delay from a profile's device time stamp to its last byte, in the device's seconds."""
+    time_scale: float = 1.0
+    """Device seconds per wall second: not 1 only where mocks run fast."""
     T_base_port: Pose | None = None
     """The port pose that the gate holds motions against once there is a plan."""
     _request_sequence: int = 0

@@ -96,7 +96,8 @@ class Looking:
                 profiles,
                 states,
                 scanner.T_flange_scanner.pose,
-                latency_s=scanner.latency_ms / 1000.0,
+                latency_s=self._cell.profile_latency_s,
+                time_scale=self._cell.time_scale,
                 max_lost_share=scanner.max_lost_profiles_percent / 100.0,
             )
             self._clouds.append(scan.to_cloud())

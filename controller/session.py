@@ -124,8 +124,10 @@ def run_session(
             clock=clock,
             wall=wall,
             limits=wiring.limits_of(config, port),
-            reach=wiring.reach_check(config),
+            reach=wiring.reach_check(config, devices.arm),
             records=recorder,
+            profile_latency_s=wiring.profile_latency_s(config),
+            time_scale=pace,
         )
         mission = Mission(cell, config, port.T_port_tcp, watcher, folder)
         outcome = mission.run()

@@ -9,6 +9,7 @@ import socket
 import subprocess
 import sys
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
@@ -21,8 +22,9 @@ from controller.port_files import load_port
 from controller.safety import Limits
 from controller.scanner_files import load_scanner
 from controller.scenarios import Scenario
-from drivers.arm.reach import why_unreachable
-from drivers.arm.ur import UrArm, UrSettings
+from drivers.arm.line_check import check_line
+from drivers.arm.settings import UrSettings, Workspace
+from drivers.arm.ur import UrArm
 from drivers.base import Arm, ByteSink, Charger, Clock, LinkOpenError, Scanner
 from drivers.charger.can_charger import CanCharger
 from drivers.charger.e2e import Scheme
@@ -35,6 +37,8 @@ from perception.geometry import Pose
 from perception.port_shape import PortDescription
 
 MOCK_START_S = 30.0
+HOME_JOINTS = (2.8, -1.8, 1.8, -0.2, 1.5, 2.9)
+"""Where the mock arm stands at first: beside the staging pose, rad."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,6 +73,7 @@ def _arm_settings(config: SiteConfig) -> UrSettings:
         frequency_hz=float(arm.frequency_hz),
         watchdog_hz=arm.watchdog_hz,
         freshness_s=arm.freshness_ms / 1000.0,
+        workspace=Workspace(np.array(_metres(arm.workspace_min_mm)), np.array(_metres(arm.workspace_max_mm))),
     )
 
 
@@ -90,6 +95,13 @@ def _can_settings(config: SiteConfig) -> CanSettings:
     )
 
 
+def profile_latency_s(config: SiteConfig) -> float:
+    """Least delay from a profile's time stamp (mid-exposure) to its last byte: exposure, line (8N1) and calibration."""
+    scanner = load_scanner(config.scanner.format)
+    line_s = scanner.layout.size * 10 / config.scanner.baud_rate
+    return scanner.exposure_s / 2.0 + line_s + config.scanner.latency_ms / 1000.0
+
+
 def limits_of(config: SiteConfig, port: PortDescription) -> Limits:
     """Every bound of the gate, from configuration and port."""
     motion, insertion = config.motion, config.insertion
@@ -108,11 +120,23 @@ def limits_of(config: SiteConfig, port: PortDescription) -> Limits:
     )
 
 
-def reach_check(config: SiteConfig) -> ReachCheck:
-    """Whether the configured arm can follow TCP poses, by its nominal kinematics."""
-    T_tcp_flange = config.arm.T_flange_tcp.pose.inverse()
-    model = config.arm.model
-    return lambda poses: why_unreachable(model, [pose @ T_tcp_flange for pose in poses])
+def reach_check(config: SiteConfig, arm: Arm) -> ReachCheck:
+    """Whether the arm can follow straight lines through TCP poses from where it stands, by its nominal kinematics."""
+    settings = _arm_settings(config)
+    T_tcp_flange = settings.T_flange_tcp.inverse()
+
+    def why_not(T_base_tcp: Sequence[Pose]) -> str | None:
+        state = arm.state()
+        joints, start = state.joints, state.T_base_flange
+        for pose in T_base_tcp:
+            end = pose @ T_tcp_flange
+            line = check_line(settings.kinematics, start, end, joints, settings.joint_limits, settings.least_sigma)
+            if not line.ok:
+                return "; ".join(line.reasons)
+            joints, start = line.joints[-1], end
+        return None
+
+    return why_not
 
 
 def _metres(values_mm: tuple[float, float, float]) -> tuple[float, float, float]:
@@ -182,6 +206,7 @@ class MockCell:
             blocked_depth_m=self._scenario.blocked_depth_m,
             time_scale=self._time_scale,
             arm_model=config.arm.model,
+            start_joints=HOME_JOINTS,
         )
 
     def _start(self, name: str, arguments: list[str]) -> None:
