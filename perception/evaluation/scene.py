@@ -17,7 +17,7 @@ from perception.evaluation import vehicle
 from perception.evaluation.built import TYPICAL, BuiltTolerance, built_variant, shrink_factor
 from perception.evaluation.vehicle import Occluder, Pocket, Rng, Side
 from perception.geometry import Array
-from perception.port_shape import PARTS, Ints, PortMesh, PortShape, build_parts, outline_bounds
+from perception.port_shape import PARTS, Ints, Outline, Point2, PortMesh, PortShape, build_parts, outline_bounds
 
 Negative = Literal[
     "plain", "empty-pocket", "closed-cover", "dust-cap", "plug-inserted", "other-recess", "mirrored", "no-contacts"
@@ -113,8 +113,36 @@ class Scene:
         return self.spec.negative is None
 
 
+def negatives_for(shape: PortShape) -> tuple[Negative, ...]:
+    """The negatives that make sense for ``shape``: a port that is its own mirror image has no mirrored one."""
+    own_mirror = is_mirror_symmetric(shape)
+    return tuple(kind for kind in NEGATIVES if not (kind == "mirrored" and own_mirror))
+
+
+def is_mirror_symmetric(shape: PortShape) -> bool:
+    """Whether left and right of the inlet are the same as far as contacts and keys go (to 0.1 mm)."""
+
+    def places(sign: float) -> set[tuple[int, ...]]:
+        contacts = [(c.centre_m, c.diameter_m, c.well_diameter_m or 0.0, c.tip_depth_m) for c in shape.contacts]
+        keys = [(_centre(key.outline), key.from_depth_m, key.to_depth_m, 0.0) for key in shape.keys]
+        numbers = [(sign * centre[0], centre[1], *rest) for centre, *rest in (*contacts, *keys)]
+        return {tuple(round(value * 1e4) for value in row) for row in numbers}
+
+    return places(1.0) == places(-1.0)
+
+
+def _centre(outline: Outline) -> Point2:
+    low_x, low_y, high_x, high_y = outline_bounds(outline)
+    return (low_x + high_x) / 2, (low_y + high_y) / 2
+
+
 def build_scene(spec: SceneSpec, rng: Rng) -> Scene:
-    """One vehicle that answers to ``spec``; the same generator state gives the same vehicle."""
+    """One vehicle that answers to ``spec``; the same generator state gives the same vehicle.
+
+    :raises ValueError: a mirrored scene of a port that is its own mirror image: it would be no negative.
+    """
+    if spec.negative == "mirrored" and is_mirror_symmetric(spec.shape):
+        raise ValueError(f"port {spec.shape.name!r} is its own mirror image")
     pocket = vehicle.draw_pocket(spec.shape, spec.panel_height_m, rng)
     built = None if spec.negative in PORTLESS else _built_port(spec, rng)
     solids = [*_vehicle(spec, pocket, rng), *_in_the_way(spec, pocket, rng)]
@@ -197,4 +225,15 @@ def _corners(solid: Manifold) -> Array:
     return np.stack(grid, axis=-1).reshape(8, 3) / _MM
 
 
-__all__ = ["KINDS", "NEGATIVES", "PARTS", "PORTLESS", "Negative", "Patches", "Scene", "SceneSpec", "build_scene"]
+__all__ = [
+    "KINDS",
+    "NEGATIVES",
+    "PARTS",
+    "PORTLESS",
+    "Negative",
+    "Patches",
+    "Scene",
+    "SceneSpec",
+    "build_scene",
+    "negatives_for",
+]

@@ -14,7 +14,16 @@ from scipy.spatial.transform import Rotation
 
 from perception.estimate import Prior
 from perception.evaluation.built import TYPICAL, BuiltTolerance
-from perception.evaluation.scene import KINDS, NEGATIVES, PORTLESS, Negative, Scene, SceneSpec, build_scene
+from perception.evaluation.scene import (
+    KINDS,
+    NEGATIVES,
+    PORTLESS,
+    Negative,
+    Scene,
+    SceneSpec,
+    build_scene,
+    negatives_for,
+)
 from perception.evaluation.sensor import Mask, SensorModel, Sweep, cast_profile, cast_sweep, port_hits
 from perception.evaluation.tiers import TIERS, Range, Tier, TierName
 from perception.evaluation.vehicle import Occluder, Rng, Side
@@ -41,6 +50,10 @@ class SimulatedScan:
     prior: Prior
     on_port: Mask
     """(N,) good points on the inlet."""
+    profile: Ints
+    """(N,) number of the profile that each point belongs to."""
+    ray: Ints
+    """(N,) number of the ray within its profile."""
     part: Ints
     """(N,) index into ``port_shape.PARTS``, -1 off the inlet."""
     normals: Array
@@ -230,6 +243,8 @@ def _labelled(
         T_scanner_port=truth,
         prior=prior,
         on_port=port_points[keep],
+        profile=sweep.profile[keep],
+        ray=sweep.ray[keep],
         part=np.where(flying, -1, scene.part[face]),
         normals=normals,
         noise_m=sensor.noise_m,
@@ -392,6 +407,7 @@ __all__ = [
     "cramer_rao",
     "disc_cut",
     "integrity_cut",
+    "negatives_for",
     "simulate_scan",
     "simulate_views",
 ]

@@ -63,6 +63,8 @@ class Sweep:
     """Points and laser origins in the scanner frame at mid-sweep."""
     profile: Ints
     """(N,) number of the profile that each point belongs to."""
+    ray: Ints
+    """(N,) number of the ray within its profile."""
     face: Ints
     """(N,) face of the scene that was hit; -1 for a flying point."""
     good: Mask
@@ -109,7 +111,7 @@ def cast_sweep(
     origins = np.stack([pose.translation for pose in relative])[profile]
     points = np.einsum("nij,nj->ni", rotations, local) + origins
     face, good = measured.face[profile, ray], measured.good[profile, ray]
-    return Sweep(Cloud(points, "scanner", origins), profile, face, good, middle)
+    return Sweep(Cloud(points, "scanner", origins), profile, ray, face, good, middle)
 
 
 def port_hits(scene: Scene, poses: Sequence[Pose]) -> int:
