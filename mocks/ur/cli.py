@@ -15,8 +15,10 @@ import numpy as np
 
 from mocks.ur.arm import Arm, FreeSpace, Sensor
 from mocks.ur.controller import Controller
+from mocks.ur.environment import PortEnvironment
 from mocks.ur.kinematics import MODELS, Kinematics
 from mocks.ur.server import UrServer
+from mocks.ur.state import Safety
 from mocks.world.blackboard import Blackboard
 from mocks.world.spec import WorldSpec
 
@@ -44,15 +46,26 @@ def build(options: argparse.Namespace) -> UrServer:
     model = options.model or (world.arm_model if world else "ur10e")
     joints = world.start_joints if world else START_JOINTS
     rng = np.random.default_rng(world.seed if world else 0)
-    arm = Arm(Kinematics(MODELS[model]), np.array(joints), FreeSpace(), Sensor(rng, 0.3, 0.01, 3.0, 0.1))
+    environment = PortEnvironment(world, board) if world and board else FreeSpace()
+    arm = Arm(Kinematics(MODELS[model]), np.array(joints), environment, Sensor(rng, 0.3, 0.01, 3.0, 0.1))
     version = tuple(int(part) for part in options.version.split("."))
     controller = Controller(arm, (version[0], version[1], version[2], version[3]))
     controller.remote = not options.local
     time_scale = board.time_scale if board else options.time_scale
     server = UrServer(controller, options.host, options.rate, _clock(board, time_scale), time_scale)
     if board is not None:
-        server.after_step = lambda: board.put_arm(controller.time_s, arm.reference.links[5])
+        server.after_step = lambda: _publish(controller, board)
     return server
+
+
+def _publish(controller: Controller, board: Blackboard) -> None:
+    """After each step: the flange's pose for the scanner; the cell's E-stop circuit reaches the arm."""
+    board.put_arm(controller.time_s, controller.arm.reference.links[5])
+    pressed = board.estop()
+    if pressed:
+        controller.emergency_stop(system=True)
+    elif controller.safety.mode == Safety.SYSTEM_EMERGENCY_STOP:
+        controller.release_emergency_stop()
 
 
 def _clock(board: Blackboard | None, time_scale: float) -> Callable[[], float]:

@@ -38,6 +38,10 @@ class WorldSpec:
     """The first N sweeps lose most returns near the port (sun glare): a scan that a locator must refuse."""
     blocked_depth_m: float | None = None
     """Something hard sits in the port at this depth below the rim plane."""
+    capture_radius_m: float = 0.0025
+    """Sideways offset of the plug that the lead-in still takes up; outside it, the plug lands on the face."""
+    capture_tilt_rad: float = 0.0436
+    capture_roll_rad: float = 0.0524
     profile_noise_m: float = 0.0001
     """1 sigma of each measured range."""
     time_scale: float = 1.0
