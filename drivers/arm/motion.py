@@ -18,7 +18,6 @@ class _Motion:
     motion_id: int
     target: Pose
     stopped: bool = False
-    done_since_s: float | None = None
     outcome: MotionProgress | None = None
 
 
@@ -50,18 +49,18 @@ class MotionTracker:
         if motion is not None and motion.outcome is None:
             motion.outcome = MotionProgress(motion.motion_id, False, True, "ended by a restart of the control link")
 
-    def progress(self, status: m.Status, state: ArmState | None, lost: str | None, now_s: float) -> MotionProgress:
-        """The last motion's progress, from the worker's status and the newest sample."""
+    def progress(self, status: m.Status, since_s: float, state: ArmState | None, lost: str | None) -> MotionProgress:
+        """The last motion's progress, from the worker's status (known ``since_s``) and the newest sample."""
         motion = self._motion
         if motion is None:
             return MotionProgress(0, running=False, failed=False, detail="no motion yet")
         if motion.outcome is None:
-            motion.outcome = _outcome(motion, status, state, lost, now_s)
+            motion.outcome = _outcome(motion, status, since_s, state, lost)
         return motion.outcome or MotionProgress(motion.motion_id, True, False, _hint(state))
 
 
 def _outcome(
-    motion: _Motion, status: m.Status, state: ArmState | None, lost: str | None, now_s: float
+    motion: _Motion, status: m.Status, since_s: float, state: ArmState | None, lost: str | None
 ) -> MotionProgress | None:
     """How the motion ended, or None while it runs."""
 
@@ -75,10 +74,10 @@ def _outcome(
     if status.phase == "failed":
         safety = "" if state is None or state.safety <= SafetyMode.REDUCED else f" ({state.safety.name})"
         return failed(f"the control script ended during the motion{safety}")
-    if motion.done_since_s is None:
-        motion.done_since_s = now_s
-    waited_s = now_s - motion.done_since_s
-    if state is None or ((state.moving or state.time_s < motion.done_since_s) and waited_s < SETTLE_S):
+    if state is None or state.time_s < since_s:
+        return None
+    settling = state.time_s - since_s < SETTLE_S
+    if state.moving and settling:
         return None
     if motion.stopped:
         return failed("stopped on the way")
@@ -86,7 +85,7 @@ def _outcome(
     off_rad = state.T_base_tcp.angle_to(motion.target)
     if off_m <= ARRIVED_M and off_rad <= ARRIVED_RAD:
         return MotionProgress(motion.motion_id, running=False, failed=False)
-    if waited_s < SETTLE_S:
+    if settling:
         return None
     return failed(f"ended {1000 * off_m:.1f} mm and {off_rad:.3f} rad from its target")
 

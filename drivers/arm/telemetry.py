@@ -79,7 +79,7 @@ class Telemetry:
         """End the thread and the link."""
         self._stop.set()
         self._thread.join(2.0)
-        self._receive.disconnect()
+        del self._receive  # its destructor disconnects, and always waits half a second for it
 
     # --- for the arm -------------------------------------------------------------------------------------------------
 

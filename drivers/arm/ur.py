@@ -174,8 +174,8 @@ class UrArm:
         worker = self._worker
         lost = "not open" if worker is None else worker.lost
         state = None if self._telemetry is None else self._telemetry.newest()
-        status = m.Status(False, 0, "idle") if worker is None else worker.status
-        return self._tracker.progress(status, state, lost, self._clock.now_s())
+        status, since_s = (m.Status(False, 0, "idle"), 0.0) if worker is None else (worker.status, worker.status_s)
+        return self._tracker.progress(status, since_s, state, lost)
 
     # --- motions -----------------------------------------------------------------------------------------------------
 

@@ -50,6 +50,7 @@ class WorkerClient:
         self._number = 0
         self._started: m.Started | m.StartFailed | None = None
         self._status = m.Status(False, 0, "idle")
+        self._status_s = -1.0
         self._lost: str | None = None
         self._quitting = False
         self._stderr = tempfile.TemporaryFile()  # noqa: SIM115 - lives as long as the worker
@@ -81,6 +82,11 @@ class WorkerClient:
     def status(self) -> m.Status:
         """What the control link said last."""
         return self._status
+
+    @property
+    def status_s(self) -> float:
+        """When it said so, on the monotonic clock."""
+        return self._status_s
 
     # --- talking -----------------------------------------------------------------------------------------------------
 
@@ -163,7 +169,7 @@ class WorkerClient:
                 case m.Beat() if message.busy_for_s > CALL_S and self._started is not None:
                     return f"{message.busy_with} has not returned for {message.busy_for_s:.1f} s"
                 case m.Status():
-                    self._status = message
+                    self._status, self._status_s = message, time.monotonic()
                 case m.Reply():
                     self._replies[message.number] = message
                     self._changed.notify_all()

@@ -10,7 +10,7 @@ from multiprocessing.connection import Connection
 import pytest
 
 from drivers.arm import messages as m
-from drivers.arm.ur_worker import ControlLoop, LinkDeadError, Motion
+from drivers.arm.control_loop import ControlLoop, LinkDeadError, Motion
 from drivers.arm.worker_link import Link
 
 POSE = (0.4, 0.1, 0.3, 0.0, 3.1, 0.0)
@@ -91,7 +91,7 @@ class Worker:
         ours, theirs = socket.socketpair()
         self.line = Connection(ours.detach())
         self.control = control
-        self.loop = ControlLoop(Link(Connection(theirs.detach())), control, 5.0)
+        self.loop = ControlLoop(Link(Connection(theirs.detach())), control, 500.0, 5.0)
         self.error: BaseException | None = None
         self.status: m.Status | None = None
         self.number = 0
@@ -167,6 +167,21 @@ def test_the_first_kick_sets_the_watchdog(worker) -> None:
     worker.line.send(m.Kick())
     worker.until_called("setWatchdog")
     assert worker.control.calls == [("setWatchdog", 5.0)]
+
+
+def test_a_kick_within_a_mode_repeats_its_command_instead_of_wiping_it_out(worker) -> None:
+    worker.ask(m.MoveVelocity((0.1, 0, 0, 0, 0, 0), 0.5))
+    worker.ask(m.Comply(POSE, (0, 0, 1, 0, 0, 0), (0, 0, 20, 0, 0, 0), (0.05,) * 6))
+    begun = len(worker.control.calls)
+    for _ in range(2):
+        expected = len(worker.control.calls) + 1
+        worker.line.send(m.Kick())
+        deadline = time.monotonic() + 5.0
+        while len(worker.control.calls) < expected:
+            assert time.monotonic() < deadline
+            time.sleep(0.002)
+    assert sorted(worker.control.names()[begun:]) == ["forceMode", "speedL"]
+    assert "kickWatchdog" not in worker.control.names()
 
 
 def test_motions_are_asynchronous(worker) -> None:
