@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 from dataclasses import dataclass
 from pathlib import Path
@@ -44,7 +45,8 @@ def recover(source: Path, target: Path) -> Recovery:
             os.fsync(stream.fileno())
         partial.rename(target)
     except OSError as error:
-        partial.unlink(missing_ok=True)
+        with contextlib.suppress(OSError):
+            partial.unlink()
         remedy = "Give a new file in a writable folder with enough space."
         raise RecordingFileError(f"cannot write {target}: {error.strerror}", remedy=remedy) from error
     return Recovery(saved[0], saved[1], tuple(damage))

@@ -7,6 +7,7 @@ anywhere and runs no script.
 from __future__ import annotations
 
 import base64
+import contextlib
 import os
 from pathlib import Path
 from typing import ClassVar, Literal
@@ -42,7 +43,8 @@ def write_report(recording: Path, out: Path) -> Path:
         partial.write_text(text, encoding="utf-8")
         os.replace(partial, target)
     except OSError as error:
-        partial.unlink(missing_ok=True)
+        with contextlib.suppress(OSError):
+            partial.unlink()
         raise ReportError(f"cannot write the report {target}: {error.strerror}") from error
     return target
 

@@ -129,7 +129,7 @@ def model_points(recording: Recording) -> Array | None:
     try:
         with np.load(io.BytesIO(attachment.data)) as arrays:
             points = np.asarray(arrays["points"], dtype=np.float64)
-    except (OSError, ValueError, KeyError, zipfile.BadZipFile):
+    except (OSError, EOFError, ValueError, KeyError, zipfile.BadZipFile):
         return None
     usable = points.ndim == 2 and points.shape[1] == 3 and len(points) > _NORMAL_NEIGHBOURS
     return points if usable else None
