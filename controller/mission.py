@@ -161,6 +161,9 @@ class Mission:
         cell.supervisor.wait(lambda: _ready_arm(cell.arm_state()), patience_s / 3.0)
         if not _ready_arm(cell.arm_state()):
             raise MissionFault(FaultCode.ARM_NOT_READY, "the arm is not powered and running")
+        permitted = cell.supervisor.wait(lambda: cell.charger_says(lambda s: not s.motion_inhibit), patience_s / 3.0)
+        if not permitted:
+            raise MissionFault(FaultCode.CHARGER_FAULT, "the charger inhibits motion although it gets our heartbeat")
         if not cell.charger_says(lambda s: s.proximity is Proximity.ABSENT):
             raise MissionFault(FaultCode.PLUG_INSERTED_AT_START, "the proximity contact reports a plug")
         cell.settle(0.002, patience_s)
