@@ -72,7 +72,8 @@ def check_line(
     if np.isnan(path).any():
         share = int(np.isnan(path).any(axis=1).argmax()) / (len(poses) - 1)
         return _unreachable(len(poses), f"the line leaves the arm's reach after {share:.0%} of its length")
-    sigma = float(sigma_min_many(model, path).min())
+    sigmas = sigma_min_many(model, path)
+    sigma = float(sigmas.min())
     continuous = bool(np.abs(np.diff(path, axis=0)).max() < JUMP_RAD)
     inside = limits.hold(path)
     reasons = []
@@ -80,7 +81,7 @@ def check_line(
         reasons.append("the joints would have to jump to another branch on the way")
     if not inside:
         reasons.append(_limit_text(path, limits))
-    if sigma < least_sigma:
+    if sigma < min(least_sigma, 0.9 * float(sigmas[0])):  # out of a singularity is allowed, deeper into it is not
         reasons.append(
             f"the line passes a singularity (smallest singular value {sigma:.3f}, allowed {least_sigma:.3f})"
         )

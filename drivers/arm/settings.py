@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from drivers.arm.collision import Box, Tool
 from drivers.arm.kinematics import MODELS, ArmModel, JointLimits
 from perception.geometry import Array, Pose
 
@@ -70,10 +71,22 @@ class UrSettings:
     caps: MotionCaps = field(default_factory=MotionCaps)
     least_sigma: float = 0.02
     """Straight lines that come closer to a singularity (smallest singular value of the Jacobian) are refused."""
+    boxes: tuple[Box, ...] = ()
+    """Solid things in the base frame that the arm must keep clear of."""
+    tool_radius_m: float = 0.05
+    """Of a capsule around the tool, from the flange to the TCP."""
+    least_clearance_m: float = 0.0
+    """Between capsules that are generous already."""
 
     def __post_init__(self) -> None:
         if self.model not in MODELS:
             raise ValueError(f"unknown arm model {self.model}; known: {', '.join(MODELS)}")
+
+    @property
+    def tool(self) -> Tool:
+        """The tool's capsule."""
+        x, y, z = self.T_flange_tcp.translation.tolist()
+        return Tool((x, y, z), self.tool_radius_m)
 
     @property
     def kinematics(self) -> ArmModel:

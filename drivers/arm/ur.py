@@ -15,6 +15,7 @@ import numpy as np
 
 from drivers.arm import messages as m
 from drivers.arm import validate
+from drivers.arm.collision import Box
 from drivers.arm.dashboard import Dashboard
 from drivers.arm.errors import (
     ArmBusyError,
@@ -68,6 +69,7 @@ class UrArm:
         self._tracker = MotionTracker()
         self._lock = threading.Lock()
         self._safe = True
+        self._obstacles: tuple[Box, ...] = ()
 
     # --- life --------------------------------------------------------------------------------------------------------
 
@@ -177,6 +179,10 @@ class UrArm:
         status, since_s = (m.Status(False, 0, "idle"), 0.0) if worker is None else (worker.status, worker.status_s)
         return self._tracker.progress(status, since_s, state, lost)
 
+    def set_obstacles(self, boxes: tuple[Box, ...]) -> None:
+        """Boxes seen in the present scene (open cover, panel), to keep clear of beside the configured ones."""
+        self._obstacles = boxes
+
     # --- motions -----------------------------------------------------------------------------------------------------
 
     def move_joints(self, T_base_tcp: Pose, speed_rad_s: float, acceleration_rad_s2: float) -> int:
@@ -187,7 +193,9 @@ class UrArm:
         acceleration = validate.within(
             "joint acceleration", acceleration_rad_s2, s.caps.joint_acceleration_rad_s2, "rad/s2"
         )
-        near = tuple(validate.joint_target(pose, state, s).tolist())
+        joints = validate.joint_target(pose, state, s)
+        validate.clear(validate.joint_path(state.joints, joints), s, self._obstacles)
+        near = tuple(joints.tolist())
         with self._lock:
             motion_id = self._tracker.next_id()
             command = m.MoveJoints(motion_id, tuple(pose.vector.tolist()), near, speed, acceleration)
@@ -201,7 +209,7 @@ class UrArm:
         pose = validate.target(T_base_tcp, s)
         speed = validate.within("speed", speed_m_s, s.caps.tcp_speed_m_s, "m/s")
         acceleration = validate.within("acceleration", acceleration_m_s2, s.caps.tcp_acceleration_m_s2, "m/s2")
-        validate.line(pose, state, s)
+        validate.clear(validate.line(pose, state, s), s, self._obstacles)
         with self._lock:
             motion_id = self._tracker.next_id()
             command = m.MoveLinear(motion_id, tuple(pose.vector.tolist()), speed, acceleration)

@@ -11,12 +11,16 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike
 
-from drivers.arm.errors import InvalidCommandError, UnreachableError
+from drivers.arm.collision import Box, clearance
+from drivers.arm.errors import CollisionError, InvalidCommandError, UnreachableError
 from drivers.arm.kinematics import nearest_branch
 from drivers.arm.line_check import check_line
 from drivers.arm.settings import UrSettings
 from drivers.base import ArmState, Compliance
 from perception.geometry import Array, Pose
+
+PATH_STEP_RAD = 0.05
+NO_NEARER_M = 0.001
 
 
 def finite(name: str, values: ArrayLike, count: int) -> Array:
@@ -54,6 +58,12 @@ def joint_target(pose: Pose, state: ArmState, settings: UrSettings) -> Array:
     return joints
 
 
+def joint_path(start: Array, end: Array) -> Array:
+    """Joints (K, 6) of a joint motion, in steps of at most ``PATH_STEP_RAD``."""
+    count = int(np.ceil(np.abs(end - start).max() / PATH_STEP_RAD)) + 1
+    return np.asarray(start + np.linspace(0.0, 1.0, max(count, 2))[:, None] * (end - start))
+
+
 def line(pose: Pose, state: ArmState, settings: UrSettings) -> Array:
     """Joints (K, 6) along the straight way of the TCP to ``pose``. Raises UnreachableError."""
     flange = settings.T_flange_tcp.inverse()
@@ -68,6 +78,23 @@ def line(pose: Pose, state: ArmState, settings: UrSettings) -> Array:
     if not check.ok:
         raise UnreachableError(f"the straight way to the target is not possible: {'; '.join(check.reasons)}")
     return check.joints
+
+
+def clear(path: Array, settings: UrSettings, boxes: tuple[Box, ...] = ()) -> None:
+    """The arm keeps clear of itself and of boxes along joints (K, 6). Raises CollisionError.
+
+    From where it is too near already it may move, if that brings it no nearer.
+    """
+    known = settings.boxes + boxes
+    worst = clearance(settings.kinematics, path, settings.tool, known)
+    if worst.distance_m >= settings.least_clearance_m:
+        return
+    now = clearance(settings.kinematics, path[:1], settings.tool, known)
+    if worst.distance_m < now.distance_m - NO_NEARER_M:
+        raise CollisionError(
+            f"{worst.what} would come within {1000 * worst.distance_m:.0f} mm "
+            f"(allowed {1000 * settings.least_clearance_m:.0f} mm)"
+        )
 
 
 def velocity(values: ArrayLike, settings: UrSettings) -> Array:
