@@ -7,6 +7,8 @@ one writer owns it. Raises OSError when the disk refuses.
 
 from __future__ import annotations
 
+import contextlib
+import fcntl
 import os
 from collections.abc import Mapping
 from pathlib import Path
@@ -88,11 +90,25 @@ class RecordingFile:
         return self._writer.register_channel(topic.name, topic.message_encoding, schema)
 
 
+def is_being_written(path: Path) -> bool:
+    """Whether a recorder, in this process or another, has the file open; False for a file that cannot be opened."""
+    try:
+        with path.open("rb") as stream:
+            fcntl.flock(stream.fileno(), fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return True
+    except OSError:
+        return False
+    return False
+
+
 class _UnbufferedFile:
     """The part of a binary file that the MCAP writer uses, each write going straight to the operating system."""
 
     def __init__(self, path: Path) -> None:
-        self._descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o644)
+        self._descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o644)
+        with contextlib.suppress(OSError):  # some network file systems cannot lock; only pruning asks
+            fcntl.flock(self._descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         self._position = 0
 
     def write(self, data: bytes) -> int:

@@ -37,7 +37,7 @@ def recover(source: Path, target: Path) -> Recovery:
     try:
         if target.exists():
             raise FileExistsError(17, "the file exists already")
-        with partial.open("xb") as stream:
+        with partial.open("wb") as stream:
             saved = _copy(
                 source, Writer(stream, chunk_size=_CHUNK_BYTES, compression=CompressionType.ZSTD), declarations, damage
             )
