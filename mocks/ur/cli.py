@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from mocks.ur.arm import Arm, FreeSpace, Sensor
+from mocks.ur.control_channel import ControlChannel
 from mocks.ur.controller import Controller
 from mocks.ur.environment import PortEnvironment
 from mocks.ur.kinematics import MODELS, Kinematics
@@ -29,9 +30,15 @@ def main(arguments: list[str] | None = None) -> int:
     """Run until SIGTERM or SIGINT."""
     options = _parser().parse_args(arguments)
     logging.basicConfig(level=options.log, stream=sys.stderr, format="%(name)s: %(message)s")
-    server = build(options)
+    try:
+        server = build(options)
+    except OSError as error:
+        sys.stderr.write(f"mock arm: {error}\n")
+        return 3
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda *_: setattr(server, "stopping", True))
+    if options.control:
+        ControlChannel(server, sys.stdin.fileno(), sys.stdout)
     ports = {name: listener.port for name, listener in server.listeners.items()}
     sys.stdout.write(json.dumps({"host": options.host, "ports": ports}) + "\n")
     sys.stdout.flush()
@@ -83,6 +90,9 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--version", default="5.15.0.0", help="PolyScope version, four numbers")
     parser.add_argument("--rate", type=int, choices=(125, 500), default=500, help="steps and samples in a second")
     parser.add_argument("--time-scale", type=float, default=1.0, help="emulated seconds per second, without --world")
+    parser.add_argument(
+        "--control", action="store_true", help="take faults as JSON lines on stdin; its end ends the mock"
+    )
     parser.add_argument("--local", action="store_true", help="start in local mode: scripts are ignored")
     parser.add_argument("--log", default="WARNING", help="log level")
     return parser

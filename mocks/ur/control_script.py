@@ -43,6 +43,7 @@ class ControlScript(ThreadedProgram):
         self.contact_step_back = 0
         self._progress_writes = self._operation = 0
         self._stop_by_tool = False
+        self._unseen = False
         self._commands: dict[int, Callable[[], Thread | None]] = {
             1: self._movej, 2: self._movej_ik, 3: self._movel, 4: self._movel_fk, 7: self._force_mode_stop,
             12: self._servoc, 15: self._speed_stop, 16: self._servo_stop, 33: self._stop, 34: self._stop,
@@ -95,6 +96,7 @@ class ControlScript(ThreadedProgram):
         executed = False
         while True:
             command = self._next_command()
+            self._unseen = False
             if command == STOP_SCRIPT:
                 return
             if command in REALTIME:
@@ -108,6 +110,12 @@ class ControlScript(ThreadedProgram):
                 self.write_integer(0, DONE)
                 executed = True
             yield
+
+    def before_inputs(self) -> None:
+        """A streamed command that comes and goes within one step is carried out all the same."""
+        if self._unseen and self.integer(0) in REALTIME:
+            self._stream(self.integer(0))
+        self._unseen = True
 
     def _next_command(self) -> int:
         command = self.integer(0)

@@ -68,6 +68,9 @@ class Controller:
         self.program_name = ""
         self.watched: str | None = None
         self.watchdog_timeout_s = 0.0
+        self.peak_force_n = 0.0
+        self._tcp_pose: Array | None = None
+        self._tool_speed: Array | None = None
         self.on_kick: Callable[[], None] = lambda: None
 
     # --- what clients read --------------------------------------------------------------------------------------------
@@ -75,12 +78,16 @@ class Controller:
     @property
     def tcp_pose(self) -> Array:
         """Pose vector (6,) of the TCP."""
-        return pose_of(self.arm.reference.T_base_tcp)
+        if self._tcp_pose is None:
+            self._tcp_pose = pose_of(self.arm.reference.T_base_tcp)
+        return self._tcp_pose
 
     @property
     def tool_speed(self) -> Array:
         """TCP speed (6,) in base axes."""
-        return self.arm.tool_speed()
+        if self._tool_speed is None:
+            self._tool_speed = self.arm.tool_speed()
+        return self._tool_speed
 
     @property
     def robot_status_bits(self) -> int:
@@ -140,6 +147,8 @@ class Controller:
 
     def write_inputs(self, values: dict[str, tuple[float, ...]]) -> None:
         """What an RTDE client wrote, by variable name."""
+        if self.program is not None and self.runtime_state == RuntimeState.PLAYING:
+            self._guarded(self.program, self.program.before_inputs)
         for name, value in values.items():
             if name.startswith("input_int_register_"):
                 self.registers.in_int[int(name[19:])] = int(value[0])
@@ -219,6 +228,13 @@ class Controller:
             self._enter(Safety.NORMAL)
             self.arm.paused = False
 
+    def enter_safety(self, mode: Safety) -> None:
+        """Put the safety system into a mode that nothing else here leads to (reduced, recovery, violation, fault)."""
+        self._enter(mode)
+        if mode in STOPPED_SAFETY:
+            self.power.mode = PowerMode.POWER_OFF
+            self.stop_program()
+
     def restart_safety(self) -> None:
         """After a safety fault or violation: normal again, without power."""
         self._enter(Safety.NORMAL)
@@ -242,6 +258,7 @@ class Controller:
     def tick(self, dt: float) -> None:
         """Advance by ``dt`` of emulated time."""
         self.time_s += dt
+        self._forget_pose()
         if self.program is not None and self.runtime_state == RuntimeState.PLAYING:
             self._run_program(self.program)
         try:
@@ -249,14 +266,25 @@ class Controller:
         except MotionError as error:
             log.warning("motion ended: %s", error)
             self.stop_program()
-        if float(np.linalg.norm(self.arm.true_wrench[:3])) > self.max_force_n:
+        self._forget_pose()
+        force_n = float(np.linalg.norm(self.arm.true_wrench[:3]))
+        self.peak_force_n = max(self.peak_force_n, force_n)
+        if force_n > self.max_force_n:
             self.protective_stop()
 
+    def _forget_pose(self) -> None:
+        """Pose and speed are computed when the first client asks after a step."""
+        self._tcp_pose = self._tool_speed = None
+
     def _run_program(self, program: Program) -> None:
+        if self._guarded(program, program.tick) is False and self.program is program:
+            self.stop_program()
+
+    def _guarded(self, program: Program, step: Callable[[], bool | None]) -> bool | None:
+        """Take a step of a program; a run-time error ends it."""
         try:
-            alive = program.tick()
+            return step()
         except (ScriptError, MotionError) as error:
             log.warning("program %s ended: %s", program.name, error)
-            alive = False
-        if not alive and self.program is program:
             self.stop_program()
+            return False

@@ -18,6 +18,10 @@ from perception.geometry import Array
 MAX_JOINT_SPEED_RAD_S = math.pi
 
 
+FOLLOWS_WITHIN = 1e-7
+"""Metres and radians between the wanted and the reached pose of one step."""
+
+
 class MotionError(Exception):
     """The motion cannot go on: out of reach, singular or beyond a joint limit."""
 
@@ -32,22 +36,22 @@ class Reference:
         self.T_flange_tcp = np.eye(4)
         self.refresh()
 
-    def refresh(self) -> None:
+    def refresh(self, links: Array | None = None) -> None:
         """Recompute what follows from the joints."""
-        self.links = self.kinematics.links(self.q)
+        self.links = self.kinematics.links(self.q) if links is None else links
         self.T_base_tcp = self.links[5] @ self.T_flange_tcp
 
     def jacobian(self) -> Array:
         """Jacobian (6, 6) of the TCP."""
         return self.kinematics.jacobian(self.links, self.T_base_tcp[:3, 3])
 
-    def advance(self, q: Array, dt: float) -> None:
+    def advance(self, q: Array, dt: float, links: Array | None = None) -> None:
         """Take new joints after ``dt``. Raises MotionError when they cannot be reached in that time."""
         qd = (q - self.q) / dt
         if np.abs(q).max() > JOINT_LIMIT_RAD or np.abs(qd).max() > 2.0 * MAX_JOINT_SPEED_RAD_S:
             raise MotionError("joint limit")
         self.q, self.qd = q, qd
-        self.refresh()
+        self.refresh(links)
 
     def follow(self, T_base_tcp: Array, dt: float) -> None:
         """Take the joints that put the TCP at a pose close to the present one (Newton on the Jacobian)."""
@@ -55,8 +59,8 @@ class Reference:
         for _ in range(8):
             tip = links[5] @ self.T_flange_tcp
             error = twist_between(tip, T_base_tcp)
-            if np.abs(error).max() < 1e-9:
-                self.advance(q, dt)
+            if np.abs(error).max() < FOLLOWS_WITHIN:
+                self.advance(q, dt, links)
                 return
             try:
                 q = q + np.linalg.solve(self.kinematics.jacobian(links, tip[:3, 3]), error)

@@ -33,6 +33,9 @@ class Program(Protocol):
     def tick(self) -> bool:
         """One controller step; False when the program has ended. Raises ScriptError."""
 
+    def before_inputs(self) -> None:
+        """Input registers are about to be overwritten. Raises ScriptError."""
+
 
 class ThreadedProgram:
     """A main thread and named threads beside it."""
@@ -55,6 +58,9 @@ class ThreadedProgram:
             if next(thread, _ENDED) is _ENDED and self.threads.get(name) is thread:
                 del self.threads[name]
         return next(self._main, _ENDED) is not _ENDED
+
+    def before_inputs(self) -> None:
+        """Nothing is lost by default."""
 
     def run(self, name: str, thread: Thread) -> None:
         """Start a thread; its first step is taken now, as nothing comes between in URScript."""

@@ -105,6 +105,8 @@ class OutputRecipe:
             value = getter(controller)
             if scalar:
                 values.append(value)  # type: ignore[arg-type]
+            elif isinstance(value, np.ndarray):
+                values += value.tolist()
             else:
                 values.extend(value)  # type: ignore[arg-type]
         return self._struct.pack(*values)

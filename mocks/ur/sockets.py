@@ -107,21 +107,27 @@ class Listener:
         self, selector: selectors.BaseSelector, host: str, port: int, make: Callable[[Connection], Handler]
     ) -> None:
         self._selector = selector
+        self._host, self.port = host, port
         self._make = make
         self.connections: list[Connection] = []
-        self.accepting = True
+        self._socket: socket.socket | None = None
+        self.open()
+
+    def open(self) -> None:
+        """Listen. Raises OSError when the port is taken."""
+        if self._socket is not None:
+            return
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
         self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        self._socket.bind((host, port))
+        self._socket.bind((self._host, self.port))
         self._socket.listen(16)
         self._socket.setblocking(False)
-        self.port: int = self._socket.getsockname()[1]
-        selector.register(self._socket, selectors.EVENT_READ, self._accept)
+        self._selector.register(self._socket, selectors.EVENT_READ, self._accept)
 
-    def drop(self, reset: bool = True) -> None:
-        """Cut every live connection."""
+    def drop(self) -> None:
+        """Reset every live connection."""
         for connection in self.live():
-            connection.close(reset)
+            connection.close(reset=True)
 
     def live(self) -> list[Connection]:
         """Open connections."""
@@ -130,17 +136,18 @@ class Listener:
 
     def close(self) -> None:
         """Stop listening and cut every connection."""
-        self._selector.unregister(self._socket)
-        self._socket.close()
+        if self._socket is not None:
+            self._selector.unregister(self._socket)
+            self._socket.close()
+            self._socket = None
         self.drop()
 
     def _accept(self, events: int) -> None:
         try:
-            sock, _ = self._socket.accept()
+            sock, _ = self._socket.accept() if self._socket else (None, None)
         except OSError:
             return
-        if not self.accepting:
-            sock.close()
+        if sock is None:
             return
         connection = Connection(sock, self._selector)
         self.connections.append(connection)
