@@ -1,68 +1,28 @@
 """A vehicle inlet as numbers: outlines, depths, contacts; and the closed surface mesh that they describe.
 
 Port frame: origin on the rim plane at the centre of the AC section, +z out of the vehicle, +y up, +x right for someone
-who looks into the port. A *depth* is counted from the rim plane into the vehicle, so it is -z. Every outline is convex;
-what is not (a latch slot, a key) is a ``Key`` that is cut or added. Knows nothing of the vehicle around the inlet.
+who looks into the port. A *depth* is counted from the rim plane into the vehicle, so it is -z. Every outline is convex
+(``outline``); what is not (a latch slot, a key) is a ``Key`` that is cut or added. Knows nothing
+of the vehicle around the inlet.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import pairwise
-from typing import Literal, TypeAlias
+from typing import Literal
 
 import numpy as np
-from manifold3d import CrossSection, FillRule, Manifold
+from manifold3d import Manifold
 from numpy.typing import NDArray
 
 from perception.errors import MeshError
 from perception.geometry import Array, Pose
+from perception.outline import MM, Common, Disc, Hull, Outline, Point2, RoundedRect, outline_bounds, slabs, union
 
 Ints = NDArray[np.int64]
-Point2 = tuple[float, float]
-
-CHORD_ERROR_M = 0.02e-3
-"""How far a tessellated curved wall may lie inside the true one."""
-_MM = 1000.0  # the solid modeller works in millimetres: its tolerances suit numbers of order one
 _WALL_MM = 3.0  # thickness behind the deepest floor; never seen
 _CLEAR_MM = 1.0  # by how much a cut stands proud of the surface that it opens
-
-
-@dataclass(frozen=True, slots=True)
-class Disc:
-    """A circle, if ``flat_top_m`` is given cut off by a horizontal line that high above its centre."""
-
-    diameter_m: float
-    centre_m: Point2 = (0.0, 0.0)
-    flat_top_m: float | None = None
-
-
-@dataclass(frozen=True, slots=True)
-class RoundedRect:
-    """A rectangle with rounded corners; a stadium where the radius is half the smaller side."""
-
-    width_m: float
-    height_m: float
-    corner_radius_m: float
-    centre_m: Point2 = (0.0, 0.0)
-
-
-@dataclass(frozen=True, slots=True)
-class Hull:
-    """The smallest convex outline around several."""
-
-    parts: tuple[Outline, ...]
-
-
-@dataclass(frozen=True, slots=True)
-class Common:
-    """What several outlines have in common."""
-
-    parts: tuple[Outline, ...]
-
-
-Outline: TypeAlias = Disc | RoundedRect | Hull | Common
 
 
 @dataclass(frozen=True, slots=True)
@@ -153,7 +113,7 @@ class PortShape:
     def back_depth_m(self) -> float:
         """Depth of the body's hidden back face."""
         floors = [c.floor_depth_m for c in self.contacts if c.floor_depth_m is not None]
-        return max([self.cavity.depth_m, *floors]) + _WALL_MM / _MM
+        return max([self.cavity.depth_m, *floors]) + _WALL_MM / MM
 
 
 @dataclass(frozen=True, slots=True)
@@ -211,7 +171,7 @@ def build_parts(shape: PortShape) -> PortMesh:
     if solid.is_empty():
         raise MeshError(f"the dimensions of port {shape.name!r} enclose no solid", remedy="Check its description.")
     mesh = solid.to_mesh64()
-    vertices = np.asarray(mesh.vert_properties, dtype=np.float64)[:, :3] / _MM
+    vertices = np.asarray(mesh.vert_properties, dtype=np.float64)[:, :3] / MM
     faces = np.asarray(mesh.tri_verts, dtype=np.int64)
     lengths = np.diff(np.asarray(mesh.run_index)) // 3
     part = np.repeat([maker.part_of.get(int(k), 0) for k in mesh.run_original_id], lengths)
@@ -232,47 +192,53 @@ class _Maker:
 
     def __init__(self, finish: Finish) -> None:
         self.part_of: dict[int, int] = {}
-        self.edge = finish.edge_radius_m * _MM
+        self.edge = finish.edge_radius_m * MM
         self.taper = float(np.tan(finish.draft_rad))
 
     def body(self, shape: PortShape) -> Manifold:
         """Flange and collar, minus cavity, plus inserts with their wells, plus pins and keys."""
-        floor, back = shape.cavity.depth_m * _MM, shape.back_depth_m * _MM
+        floor, back = shape.cavity.depth_m * MM, shape.back_depth_m * MM
         solid = self.raised("rim", shape.rim, 0.0, back, taper=False)
         if shape.flange is not None:
             solid += self.flange(shape.flange)
         solid -= self.sunk("cavity", shape.cavity.outline, 0.0, floor)
         for insert in shape.inserts:
-            solid += self.raised("insert", insert.outline, insert.face_depth_m * _MM, floor + _CLEAR_MM)
-        for key in shape.keys:
-            top, bottom = key.from_depth_m * _MM, key.to_depth_m * _MM
-            part = self.prism("key", key.outline, [(top, 0.0), (bottom, 0.0)])
-            solid = solid - part if key.kind == "slot" else solid + part
-        for contact in shape.contacts:
-            solid = self.with_contact(solid, shape, contact)
-        return solid
+            solid += self.raised("insert", insert.outline, insert.face_depth_m * MM, floor + _CLEAR_MM)
+        cuts = [self.key(key) for key in shape.keys if key.kind == "slot"]
+        cuts += [well for contact in shape.contacts for well in self.well(shape, contact)]
+        adds = [self.key(key) for key in shape.keys if key.kind == "ridge"]
+        adds += [self.pin(shape, contact) for contact in shape.contacts if contact.kind == "pin"]
+        return solid - union(cuts) + union(adds)
 
     def flange(self, flange: Flange) -> Manifold:
         """The plate with its bolt holes."""
-        front, back = flange.front_depth_m * _MM, (flange.front_depth_m + flange.thickness_m) * _MM
+        front, back = flange.front_depth_m * MM, (flange.front_depth_m + flange.thickness_m) * MM
         plate = self.raised("flange", flange.outline, front, back, taper=False)
         for hole in flange.holes:
             cut = [(front - _CLEAR_MM, 0.0), (back + _CLEAR_MM, 0.0)]
             plate -= self.prism("flange", Disc(hole.diameter_m, hole.centre_m), cut)
         return plate
 
-    def with_contact(self, solid: Manifold, shape: PortShape, contact: Contact) -> Manifold:
-        """The solid with one contact's well and pin, or bore."""
-        floor = (contact.floor_depth_m or shape.cavity.depth_m) * _MM
-        tip, disc = contact.tip_depth_m * _MM, Disc(contact.diameter_m, contact.centre_m)
+    def key(self, key: Key) -> Manifold:
+        """A slot or ridge."""
+        return self.prism("key", key.outline, [(key.from_depth_m * MM, 0.0), (key.to_depth_m * MM, 0.0)])
+
+    def well(self, shape: PortShape, contact: Contact) -> list[Manifold]:
+        """What is cut for a contact: a socket's bore or a pin's well, if it has one."""
+        floor = (contact.floor_depth_m or shape.cavity.depth_m) * MM
         if contact.kind == "socket":
-            return solid - self.sunk("well", disc, tip, floor)
-        if contact.well_diameter_m is not None and shape.inserts:
-            face = _face_depth(shape, contact) * _MM
-            solid -= self.sunk("well", Disc(contact.well_diameter_m, contact.centre_m), face, floor)
-        chamfer = contact.tip_chamfer_m * _MM
-        pin = [(tip, -chamfer), (tip + chamfer, 0.0), (floor + _CLEAR_MM, 0.0)]
-        return solid + self.prism("pin", disc, pin)
+            return [self.sunk("well", Disc(contact.diameter_m, contact.centre_m), contact.tip_depth_m * MM, floor)]
+        if contact.well_diameter_m is None or not shape.inserts:
+            return []
+        face = _face_depth(shape, contact) * MM
+        return [self.sunk("well", Disc(contact.well_diameter_m, contact.centre_m), face, floor)]
+
+    def pin(self, shape: PortShape, contact: Contact) -> Manifold:
+        """A pin from its chamfered tip to below the floor of its well."""
+        floor = (contact.floor_depth_m or shape.cavity.depth_m) * MM
+        tip, chamfer = contact.tip_depth_m * MM, contact.tip_chamfer_m * MM
+        stations = [(tip, -chamfer), (tip + chamfer, 0.0), (floor + _CLEAR_MM, 0.0)]
+        return self.prism("pin", Disc(contact.diameter_m, contact.centre_m), stations)
 
     def raised(self, part: str, outline: Outline, top: float, bottom: float, *, taper: bool = True) -> Manifold:
         """A solid that rises to depth ``top``: rounded edge there, wider towards its root. Depths in mm."""
@@ -295,22 +261,10 @@ class _Maker:
 
     def prism(self, part: str, outline: Outline, stations: Sequence[tuple[float, float]]) -> Manifold:
         """The solid through ``outline`` grown by each station's offset at its depth: (depth, offset) in mm."""
-        slabs = [Manifold.hull_points(np.vstack(pair)) for pair in pairwise(_rings(outline, stations))]
-        for slab in slabs:
-            self.part_of[slab.original_id()] = PARTS.index(part)
-        return sum(slabs[1:], slabs[0])
-
-
-def loft_mm(outline: Outline, stations: Sequence[tuple[float, float]]) -> Manifold:
-    """The solid through ``outline`` grown by each station's offset at its depth: (depth, offset) in mm, for scenes."""
-    slabs = [Manifold.hull_points(np.vstack(pair)) for pair in pairwise(_rings(outline, stations))]
-    return sum(slabs[1:], slabs[0])
-
-
-def outline_bounds(outline: Outline) -> tuple[float, float, float, float]:
-    """(smallest x, smallest y, largest x, largest y) of an outline in metres."""
-    low_x, low_y, high_x, high_y = _section(outline, 0.0).bounds()
-    return low_x / _MM, low_y / _MM, high_x / _MM, high_y / _MM
+        pieces = slabs(outline, stations)
+        for piece in pieces:
+            self.part_of[piece.original_id()] = PARTS.index(part)
+        return union(pieces)
 
 
 def _face_depth(shape: PortShape, contact: Contact) -> float:
@@ -323,57 +277,26 @@ def _face_depth(shape: PortShape, contact: Contact) -> float:
     return min(insert.face_depth_m for insert in shape.inserts)
 
 
-def _rings(outline: Outline, stations: Sequence[tuple[float, float]]) -> list[Array]:
-    return [_ring(outline, depth, grow) for depth, grow in stations]
-
-
-def _ring(outline: Outline, depth: float, grow: float) -> Array:
-    """Corner points (N, 3) in mm of the outline grown by ``grow`` mm, at ``depth`` mm."""
-    polygons = _section(outline, grow).to_polygons()
-    if not polygons:
-        raise MeshError("an outline of the port vanishes", remedy="Check its diameters, sides and radii.")
-    xy = np.vstack(polygons)
-    return np.column_stack([xy, np.full(len(xy), -depth)])
-
-
-def _section(outline: Outline, grow: float) -> CrossSection:
-    """The outline as a plane region in mm, moved outwards by ``grow`` mm."""
-    match outline:
-        case Disc(diameter, centre, flat):
-            circle = _polygon(_arc(diameter * _MM / 2 + grow, centre))
-            if flat is None:
-                return circle
-            reach = diameter * _MM + abs(grow)
-            keep = CrossSection.square((4 * reach, 4 * reach)).translate((-2 * reach, -4 * reach))
-            return circle ^ keep.translate((centre[0] * _MM, (centre[1] + flat) * _MM + grow))
-        case RoundedRect(width, height, radius, centre):
-            return _rounded_rect(width * _MM + 2 * grow, height * _MM + 2 * grow, radius * _MM + grow, centre)
-        case Hull(parts):
-            return CrossSection.batch_hull([_section(part, grow) for part in parts])
-        case Common(parts):
-            region = _section(parts[0], grow)
-            for part in parts[1:]:
-                region = region ^ _section(part, grow)
-            return region
-
-
-def _rounded_rect(width: float, height: float, radius: float, centre: Point2) -> CrossSection:
-    """A rectangle with rounded corners as the hull of its four corner circles; all in mm but ``centre`` (m)."""
-    radius = float(np.clip(radius, 1e-3, min(width, height) / 2))
-    x, y = width / 2 - radius, height / 2 - radius
-    corners = [(centre[0] + sx * x / _MM, centre[1] + sy * y / _MM) for sx in (-1, 1) for sy in (-1, 1)]
-    return CrossSection.batch_hull([_polygon(_arc(radius, corner)) for corner in corners])
-
-
-def _arc(radius: float, centre: Point2) -> Array:
-    """Points (N, 2) in mm on a circle of ``radius`` mm, as many as the chord error asks for."""
-    if radius <= 0:
-        raise MeshError("a circle of the port has no size", remedy="Check its diameters, drafts and edge radii.")
-    ratio = min(CHORD_ERROR_M * _MM / radius, 0.2)
-    count = 4 * int(np.ceil(np.pi / np.arccos(1 - ratio) / 4))
-    angle = np.arange(count) * (2 * np.pi / count)
-    return np.column_stack([np.cos(angle), np.sin(angle)]) * radius + np.array(centre) * _MM
-
-
-def _polygon(points: Array) -> CrossSection:
-    return CrossSection([points], FillRule.Positive)
+__all__ = [
+    "PARTS",
+    "Cavity",
+    "Common",
+    "Contact",
+    "Disc",
+    "Finish",
+    "Flange",
+    "Hole",
+    "Hull",
+    "Insert",
+    "Ints",
+    "Key",
+    "Outline",
+    "Point2",
+    "PortDescription",
+    "PortMesh",
+    "PortShape",
+    "RoundedRect",
+    "build_mesh",
+    "build_parts",
+    "outline_bounds",
+]

@@ -17,7 +17,8 @@ from perception.evaluation import vehicle
 from perception.evaluation.built import TYPICAL, BuiltTolerance, built_variant, shrink_factor
 from perception.evaluation.vehicle import Occluder, Pocket, Rng, Side
 from perception.geometry import Array
-from perception.port_shape import PARTS, Ints, Outline, Point2, PortMesh, PortShape, build_parts, outline_bounds
+from perception.outline import Outline, Point2, outline_bounds
+from perception.port_shape import PARTS, Ints, PortMesh, PortShape, build_parts
 
 Negative = Literal[
     "plain", "empty-pocket", "closed-cover", "dust-cap", "plug-inserted", "other-recess", "mirrored", "no-contacts"
@@ -39,7 +40,7 @@ KINDS = ("port", "vehicle", "cover", "occluder", "clutter", "cap", "plug")
 """What a face belongs to, in the order of ``Scene.kind``."""
 
 _MM = 1000.0
-_WAVES = 14
+_WAVES = 10
 _PATCH_WAVE = 280.0  # rad/m: patches of about 10 mm
 
 
@@ -69,7 +70,8 @@ class Patches:
 
     def level(self, points: Array) -> Array:
         """The field at points (N, 3): about normally distributed with unit variance."""
-        field: Array = np.cos(points @ self.waves + self.phases).sum(axis=1) * np.sqrt(2.0 / len(self.phases))
+        angle = points.astype(np.float32) @ self.waves.astype(np.float32) + self.phases.astype(np.float32)
+        field: Array = np.cos(angle).sum(axis=1, dtype=np.float64) * np.sqrt(2.0 / len(self.phases))
         return field
 
 

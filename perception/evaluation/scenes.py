@@ -6,7 +6,6 @@ Everything is drawn from the injected generator, so a seed names a scan for good
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,6 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from perception.estimate import Prior
 from perception.evaluation.built import TYPICAL, BuiltTolerance
+from perception.evaluation.cuts import disc_cut, integrity_cut, random_cuts
 from perception.evaluation.scene import (
     KINDS,
     NEGATIVES,
@@ -26,12 +26,13 @@ from perception.evaluation.scene import (
 )
 from perception.evaluation.sensor import Mask, SensorModel, Sweep, cast_profile, cast_sweep, port_hits
 from perception.evaluation.tiers import TIERS, Range, Tier, TierName
-from perception.evaluation.vehicle import Occluder, Rng, Side
+from perception.evaluation.vehicle import SIDES, Occluder, Rng
+from perception.evaluation.views import FIVE_VIEWS, SimulatedViews, View, simulate_views
 from perception.geometry import Array, Pose
-from perception.port_shape import Ints, PortShape, outline_bounds
+from perception.outline import outline_bounds
+from perception.port_shape import Ints, PortShape
 from perception.scan import Cloud
 
-_SIDES: tuple[Side, ...] = ("left", "right", "top", "bottom")
 _OCCLUDERS: tuple[Occluder, ...] = ("cable", "hand", "box")
 _FACING = np.diag([1.0, -1.0, -1.0])
 """Rotation of a port that the scanner looks at squarely: port x along scanner x, port y up, port z to the scanner."""
@@ -130,30 +131,10 @@ def cramer_rao(scan: SimulatedScan) -> Bound:
     return Bound(float(np.sqrt(variance[:3].sum())), float(np.sqrt(variance[3:].sum())))
 
 
-def integrity_cut(points: Array, share: float, rng: Rng) -> Mask:
-    """Which of points (N, 3), port frame, remain when one side is cut off along a random in-plane direction."""
-    turn = rng.uniform(0.0, 2 * np.pi)
-    along = points[:, 0] * np.cos(turn) + points[:, 1] * np.sin(turn)
-    keep: Mask = along <= np.quantile(along, share)
-    return keep
-
-
-def disc_cut(points: Array, share: float, rng: Rng, of: Mask | None = None) -> Mask:
-    """Which of points (N, 3), port frame, lie outside a disc that hides all but ``share`` of those marked by ``of``."""
-    turn, far = rng.uniform(0.0, 2 * np.pi), rng.uniform(0.04, 0.16)
-    centre = far * np.array([np.cos(turn), np.sin(turn)])
-    distance = np.linalg.norm(points[:, :2] - centre, axis=1)
-    counted = distance if of is None else distance[of]
-    if len(counted) == 0:
-        return np.ones(len(points), dtype=bool)
-    keep: Mask = distance >= np.quantile(counted, 1.0 - share)
-    return keep
-
-
 def _draw_spec(
     shape: PortShape, tier: Tier, rng: Rng, negative: Negative | None, tolerance: BuiltTolerance
 ) -> SceneSpec:
-    cover = _SIDES[int(rng.integers(4))] if rng.random() < tier.cover else None
+    cover = SIDES[int(rng.integers(4))] if rng.random() < tier.cover else None
     kind = _OCCLUDERS[int(rng.integers(3))]
     occluders = (kind,) if rng.random() < tier.occluder else ()
     return SceneSpec(shape, negative, cover, occluders, int(rng.integers(tier.clutter + 1)), tolerance)
@@ -230,7 +211,7 @@ def _labelled(
     """The sweep after the integrity cut, in true frames, with its labels."""
     port_points = sweep.good & (sweep.face >= 0) & (scene.kind[sweep.face] == KINDS.index("port"))
     in_port = truth.inverse().apply(sweep.cloud.points)
-    keep = _cut(in_port, port_points, share, rng) | (sweep.face < 0)
+    keep = random_cuts(in_port, port_points, share, rng) | (sweep.face < 0)
     face = sweep.face[keep]
     flying = face < 0
     normals = np.where(flying[:, None], 0.0, truth.rotate(_face_normals(scene)[face]))
@@ -254,15 +235,6 @@ def _labelled(
     )
 
 
-def _cut(points: Array, of: Mask, share: float, rng: Rng) -> Mask:
-    """Hide all but ``share`` of the points marked by ``of`` behind one or two discs or half planes."""
-    cuts = int(rng.integers(1, 3))
-    keep = np.ones(len(points), dtype=bool)
-    for _ in range(cuts):
-        keep &= disc_cut(points, share ** (1 / cuts), rng, of & keep)
-    return keep
-
-
 def _origins(cloud: Cloud) -> Array:
     if cloud.origins is None:
         raise ValueError("a simulated sweep knows its origins")
@@ -275,115 +247,6 @@ def _face_normals(scene: Scene) -> Array:
     normal = np.cross(b - a, c - a)
     unit: Array = normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-15)
     return unit
-
-
-@dataclass(frozen=True, slots=True)
-class View:
-    """A direction from which a port is seen: azimuth to the right and elevation upwards of straight ahead (rad)."""
-
-    azimuth_rad: float
-    elevation_rad: float
-    distance_m: float = 0.42
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class SimulatedViews:
-    """Views of one port merged into one cloud, and where the port truly is in it."""
-
-    cloud: Cloud
-    T_cloud_port: Pose
-    view: Ints
-    """(N,) number of the view that each point comes from."""
-    good: Mask
-    """(N,) no outlier."""
-
-
-FIVE_VIEWS = tuple(
-    View(float(np.deg2rad(azimuth)), float(np.deg2rad(elevation)))
-    for azimuth, elevation in ((0, 0), (-28, 5), (28, 5), (0, 25), (3, -25))
-)
-"""Straight ahead and from four sides: what the published evaluation calls a complete scan."""
-
-
-def simulate_views(
-    shape: PortShape,
-    views: Sequence[View],
-    n_points: int,
-    noise_m: float,
-    outliers: float,
-    rng: Rng,
-    *,
-    start: tuple[float, float] = (0.0, 0.0),
-    scene: Scene | None = None,
-    margin_m: float = 0.012,
-) -> SimulatedViews:
-    """``n_points`` surface points of the port from several views, plus ``outliers`` (a share) on top, in sensor order.
-
-    :param start: rotation (rad) about a random axis through the port's origin, and shift (m), of the cloud's frame.
-    :param scene: the vehicle to look at; None: one is drawn, with an open cover, from ``rng``.
-    :param margin_m: how far beyond the inlet's outline, and in front of it, points are kept.
-    """
-    scene = scene or build_scene(SceneSpec(shape, cover=_SIDES[int(rng.integers(4))]), rng)
-    parts = [_look(scene, view, noise_m, rng) for view in views]
-    points = np.vstack(parts)
-    number = np.repeat(np.arange(len(parts)), [len(part) for part in parts])
-    low, high = _crop_box(shape, margin_m)
-    inside = np.flatnonzero(((points > low) & (points < high)).all(axis=1))
-    chosen = np.sort(rng.choice(inside, min(n_points, len(inside)), replace=False))
-    clutter, origin_of = _outlier_points(points[chosen], round(outliers * len(chosen)), low, high, rng)
-    merged = np.vstack([points[chosen], clutter])
-    displacement = _start_pose(start, rng)
-    good = np.arange(len(merged)) < len(chosen)
-    view = np.concatenate([number[chosen], number[chosen][origin_of]])
-    return SimulatedViews(Cloud(displacement.apply(merged)), displacement, view, good)
-
-
-def _look(scene: Scene, view: View, noise_m: float, rng: Rng) -> Array:
-    """Points (N, 3), port frame, of a dense sweep from one view."""
-    low_x, low_y, high_x, high_y = outline_bounds(scene.spec.shape.rim)
-    centre = np.array([(low_x + high_x) / 2, (low_y + high_y) / 2, 0.0])
-    az, el = view.azimuth_rad, view.elevation_rad
-    towards = np.array([np.sin(az) * np.cos(el), np.sin(el), np.cos(az) * np.cos(el)])
-    x_axis = np.array([np.cos(az), 0.0, -np.sin(az)])
-    rotation = np.column_stack([x_axis, np.cross(-towards, x_axis), -towards])
-    middle = Pose(rotation, centre + view.distance_m * towards)
-    half = max(high_x - low_x, high_y - low_y) / 2 + 0.03
-    poses = [middle.moved([0.0, y, 0.0]) for y in np.arange(-half, half, 0.0007)]
-    sensor = SensorModel(
-        points_per_profile=round(2 * half / 0.0007),
-        window_m=2 * half,
-        standoff_m=view.distance_m,
-        far_m=view.distance_m + 0.2,
-        baseline_m=float(rng.choice([-0.08, 0.08])),
-        noise_m=noise_m,
-        outliers=0.0,
-        patchiness=0.2,
-    )
-    sweep = cast_sweep(scene, poses, sensor, rng)
-    return sweep.T_port_scanner.apply(sweep.cloud.points)
-
-
-def _crop_box(shape: PortShape, margin_m: float) -> tuple[Array, Array]:
-    """Smallest and largest corner of the box around the inlet, port frame."""
-    face = shape.rim if shape.flange is None else shape.flange.outline
-    low_x, low_y, high_x, high_y = outline_bounds(face)
-    low = np.array([low_x - margin_m, low_y - margin_m, -shape.back_depth_m])
-    return low, np.array([high_x + margin_m, high_y + margin_m, margin_m + 0.03])
-
-
-def _outlier_points(points: Array, count: int, low: Array, high: Array, rng: Rng) -> tuple[Array, Ints]:
-    """``count`` outliers, half anywhere in the box, half 1.5 to 8 mm off a point; and the point each belongs to."""
-    source = rng.integers(len(points), size=count)
-    away = rng.normal(size=(count, 3))
-    away *= rng.uniform(0.0015, 0.008, (count, 1)) / np.linalg.norm(away, axis=1, keepdims=True)
-    anywhere = rng.uniform(low, high, (count, 3))
-    half = (np.arange(count) < count // 2)[:, None]
-    return np.where(half, anywhere, points[source] + away), source
-
-
-def _start_pose(start: tuple[float, float], rng: Rng) -> Pose:
-    axis, shift = rng.normal(size=3), rng.normal(size=3)
-    return Pose.from_rotvec(axis / np.linalg.norm(axis) * start[0], shift / np.linalg.norm(shift) * start[1])
 
 
 __all__ = [

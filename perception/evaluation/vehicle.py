@@ -14,9 +14,11 @@ import numpy as np
 from manifold3d import Manifold
 
 from perception.geometry import Array
-from perception.port_shape import Disc, PortShape, RoundedRect, loft_mm, outline_bounds
+from perception.outline import Disc, RoundedRect, loft_mm, outline_bounds
+from perception.port_shape import PortShape
 
 Side = Literal["left", "right", "top", "bottom"]
+SIDES: tuple[Side, ...] = ("left", "right", "top", "bottom")
 Occluder = Literal["cable", "hand", "box"]
 Rng = np.random.Generator
 
