@@ -70,7 +70,7 @@ class ScanConfig(Section):
 
     standoff_mm: Annotated[float, Field(ge=50, le=1000)] = 290.0
     length_mm: Annotated[float, Field(ge=20, le=500)] = 180.0
-    speed_mm_s: Annotated[float, Field(gt=0, le=100)] = 25.0
+    speed_mm_s: Annotated[float, Field(gt=0, le=100)] = 35.0
     acceleration_mm_s2: Annotated[float, Field(gt=0, le=2000)] = 200.0
     centre_mm: tuple[float, float] = (0.0, -18.0)
     """Centre of the sweep in the port's plane (x, y)."""

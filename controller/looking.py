@@ -24,6 +24,9 @@ log = logging.getLogger(__name__)
 FIRST_PROFILE_S = 5.0
 """The laser is on, so a profile comes within this time; else the scanner is as good as lost."""
 
+TRAILING_S = 30.0
+"""How long profiles measured before the end of the motion may be on their way (a slow line, a busy host)."""
+
 ProgressReport = Callable[[str, float, str], None]
 
 
@@ -82,6 +85,8 @@ class Looking:
                 raise MissionFault(FaultCode.SCAN_FAILED, "the laser is on but no profile comes")
             cell.do(MoveLinear(view.T_base_tcp_end, scan.speed_mm_s / 1000.0, scan.acceleration_mm_s2 / 1000.0))
             cell.supervisor.wait(lambda: collect() and not cell.arm.motion().running)
+            seen_s = _device_time_at(cell.wall.now_s(), profiles, cell.time_scale)
+            cell.supervisor.wait(lambda: collect() and _newest_s(profiles) >= seen_s, TRAILING_S)
         finally:
             cell.do(Laser(on=False))
         if cell.arm.motion().failed:
@@ -150,6 +155,18 @@ def _refused(model: str, prior: Prior, error: InputError) -> PortEstimate:
         timings_s=(("total", 0.0),),
         verdict="no-port",
     )
+
+
+def _newest_s(profiles: list[Profile]) -> float:
+    """Device time of the newest profile; profiles without one count as immediate."""
+    newest = profiles[-1].device_time_s
+    return float("inf") if newest is None else newest
+
+
+def _device_time_at(host_s: float, profiles: list[Profile], time_scale: float) -> float:
+    """What the scanner's clock showed at a host time, counted from the first profile: good to its delay on the line."""
+    first = profiles[0]
+    return -float("inf") if first.device_time_s is None else first.device_time_s + (host_s - first.time_s) * time_scale
 
 
 def _fraction(T_base_tcp: Pose, view: Viewpoint) -> float:

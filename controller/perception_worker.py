@@ -5,14 +5,37 @@ from __future__ import annotations
 import multiprocessing
 import os
 from concurrent.futures import Future, ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
 
 from controller.port_models import port_model
+from perception.errors import PortdockError
 from perception.estimate import PortEstimate, Prior
+from perception.geometry import Array
 from perception.locate import locate
 from perception.port_model import PortModel
 from perception.scan import Cloud
 
 NICE = 5
+
+
+class PerceptionError(PortdockError):
+    """The worker process ended by itself."""
+
+    code: ClassVar[str] = "perception"
+    default_remedy: ClassVar[str] = "See the log above; check free memory and the installation (`portdock locate`)."
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PreparedModel:
+    """What the parent needs to know of the worker's port model."""
+
+    checksum: str
+    points: Array
+    """(N, 3) sample points of the model's surface, port frame, metres."""
 
 
 class PerceptionWorker:
@@ -22,9 +45,12 @@ class PerceptionWorker:
         self._pool = ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn"))
         self._prepared = self._pool.submit(_prepare, model)
 
-    def checksum(self) -> str:
-        """Hash of the model; waits until the worker has prepared it. Raises what the preparation raised."""
-        return self._prepared.result()
+    def prepared(self) -> PreparedModel:
+        """Waits until the worker has its model. Raises what the preparation raised, or PerceptionError."""
+        try:
+            return self._prepared.result()
+        except BrokenProcessPool as error:
+            raise PerceptionError("the perception process ended before it was ready") from error
 
     def submit(self, cloud: Cloud, prior: Prior) -> Future[PortEstimate]:
         """Locate the port in a cloud."""
@@ -41,10 +67,10 @@ class _Kept:
     model: PortModel
 
 
-def _prepare(name: str) -> str:
+def _prepare(name: str) -> PreparedModel:
     os.nice(NICE)
     _Kept.model = port_model(name)
-    return _Kept.model.checksum
+    return PreparedModel(_Kept.model.checksum, _Kept.model.surface.points.astype(np.float64))
 
 
 def _locate(cloud: Cloud, prior: Prior) -> PortEstimate:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from io import BytesIO
 from pathlib import Path
@@ -21,9 +22,8 @@ from controller.faults import Outcome
 from controller.insertion import Insertion
 from controller.mission import Mission
 from controller.pace import PacedClock
-from controller.perception_worker import PerceptionWorker
+from controller.perception_worker import PerceptionWorker, PreparedModel
 from controller.port_files import load_port
-from controller.port_models import port_model
 from controller.recorder import Recorder
 from controller.report import write_report
 from controller.summary import ContactSummary, LocateSummary, MissionSummary
@@ -101,20 +101,24 @@ def run_session(
     port = load_port(config.port.model)
     wall = MonotonicClock()
     clock = PacedClock(pace, wall)
-    model = port_model(config.port.model)
-    recorder = Recorder(folder / RECORDING_NAME, wall)
-    _attach_context(recorder, config, model.surface.points, dict(notes) | {"model": model.checksum})
-    watcher = MissionWatcher(recorder, display)
-    devices = wiring.build_devices(config, recorder, wall)
-    locator = PerceptionWorker(config.port.model)
-    supervisor = Supervisor(Sources(devices.arm, devices.charger, devices.scanner), clock, wall)
-    supervisor.facts.mode = heartbeat_mode
-    summary: MissionSummary | None = None
-    try:
-        locator.checksum()
-        for device in (devices.charger, devices.scanner, devices.arm):
-            device.open()
+    with ExitStack() as closing:
+        locator = PerceptionWorker(config.port.model)
+        closing.callback(locator.close)
+        recorder = Recorder(folder / RECORDING_NAME, wall)
+        devices = wiring.build_devices(config, recorder, wall)
+        try:
+            model = locator.prepared()
+            _open(devices, closing)
+        except PortdockError:
+            recorder.close()
+            recorder.path.unlink(missing_ok=True)  # nothing has happened yet that evidence could be of
+            raise
+        _attach_context(recorder, config, model, dict(notes))
+        supervisor = Supervisor(Sources(devices.arm, devices.charger, devices.scanner), clock, wall)
+        supervisor.facts.mode = heartbeat_mode
         supervisor.start()
+        closing.callback(supervisor.close)
+        watcher = MissionWatcher(recorder, display)
         cell = Cell(
             arm=devices.arm,
             scanner=devices.scanner,
@@ -132,24 +136,26 @@ def run_session(
         mission = Mission(cell, config, port.T_port_tcp, watcher, folder)
         outcome = mission.run()
         summary = _summary(mission, outcome, watcher, clock.now_s(), truth, folder)
-    finally:
-        supervisor.close()
-        for device in (devices.arm, devices.scanner, devices.charger):
-            device.close()
-        for name, device in (("arm", devices.arm), ("scanner", devices.scanner), ("charger", devices.charger)):
-            recorder.link(name, device.health())
-        locator.close()
+        for name in ("arm", "scanner", "charger"):
+            recorder.link(name, getattr(devices, name).health())
         recorder.close(summary)
     return _with_report(summary, folder)
 
 
-def _attach_context(recorder: Recorder, config: SiteConfig, points: np.ndarray, values: dict[str, str]) -> None:
+def _open(devices: wiring.Devices, closing: ExitStack) -> None:
+    """Open the links; whatever happens later, they are closed in reverse order."""
+    for device in (devices.charger, devices.scanner, devices.arm):
+        device.open()
+        closing.callback(device.close)
+
+
+def _attach_context(recorder: Recorder, config: SiteConfig, model: PreparedModel, values: dict[str, str]) -> None:
     """What a reader of the recording needs to understand it without this machine."""
     recorder.attach("config.yaml", as_yaml(config).encode(), "application/yaml")
     buffer = BytesIO()
-    np.savez_compressed(buffer, points=points.astype(np.float32))
+    np.savez_compressed(buffer, points=model.points.astype(np.float32))
     recorder.attach("model_points.npz", buffer.getvalue(), "application/x-npz")
-    recorder.metadata("mission", values)
+    recorder.metadata("mission", values | {"model": model.checksum})
 
 
 def _summary(
@@ -197,7 +203,7 @@ def _with_report(summary: MissionSummary, folder: Path) -> MissionSummary:
     """A report that cannot be written costs the report, never the mission's result."""
     try:
         write_report(folder / RECORDING_NAME, folder / REPORT_NAME)
-    except (PortdockError, OSError) as error:
-        log.error("no report: %s", error)
+    except Exception:
+        log.exception("the report could not be written; the recording is complete")
         return replace(summary, report=None)
     return summary

@@ -172,7 +172,7 @@ class MockCell:
         try:
             self._start("ur", [*folder, "--host", host, "--rate", str(self._base.arm.frequency_hz)])
             self._start("scanner", [*folder, "--link", scanner, "--source", "world", "--seed", str(self._seed)])
-            self._start("charger", [*folder, "--link", can])
+            self._start("charger", [*folder, "--link", can, "--lost-ms", f"{self._base.charger.lost_ms:g}"])
             for process in self._processes:
                 _await_ready(process)
         except BaseException:

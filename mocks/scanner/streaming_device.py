@@ -18,7 +18,7 @@ from mocks.scanner.emulated_clock import EmulatedClock
 from mocks.scanner.paced_wire import PacedWire
 from mocks.scanner.sources import Source
 
-MAX_LAG_S = 0.5
+MAX_LAG_S = 20.0
 POLL_S = 0.001
 
 
@@ -58,79 +58,89 @@ class StreamingDevice:
         self._clock = clock
         self._rng = rng
         self._rest = b""
-        self._frames: queue.Queue[tuple[float, bytes]] = queue.Queue(maxsize=8)
-        self._laser_off = threading.Event()
-        self._thread: threading.Thread | None = None
+        self._frames: queue.Queue[tuple[float, bytes]] = queue.Queue(maxsize=64)
+        self._optics: threading.Thread | None = None
+        self._power_off = threading.Event()
+        self._off_s = float("inf")
+        self._late_answers: list[bytes] = []
         self._number = 0
         self.skipped = 0
 
-    @property
-    def laser_on(self) -> bool:
-        """Whether profiles are made."""
-        return self._thread is not None
-
     def receive(self, data: bytes) -> None:
-        """Bytes from the client."""
+        """Bytes from the client. Laser-off is acknowledged after the last profile exposed before it."""
         commands, self._rest = wide_xz.split_commands(self._rest + data)
         for command in commands:
-            if command == wide_xz.LASER_ON:
-                self._start()
-            elif command == wide_xz.LASER_OFF:
-                self.stop()
-            self._wire.send(wide_xz.answer(command), self._clock.now_s())
+            if command == wide_xz.LASER_OFF:
+                self._off_s = min(self._off_s, self._clock.now_s())
+                self._late_answers.append(wide_xz.answer(command))
+            else:
+                if command == wide_xz.LASER_ON:
+                    self._laser_on()
+                self._wire.send(wide_xz.answer(command), self._clock.now_s())
 
     def collect(self) -> None:
-        """Hand profiles that are ready to the wire."""
-        while True:
-            try:
-                ready_s, frame = self._frames.get_nowait()
-            except queue.Empty:
-                return
+        """Hand to the wire the profiles that are ready, and the acknowledgement of laser-off once all are."""
+        finished = self._optics is None or not self._optics.is_alive()
+        while not self._frames.empty():
+            ready_s, frame = self._frames.get_nowait()
             self._wire.send(frame, ready_s)
+        if finished:
+            self._optics = None
+            for answer in self._late_answers:
+                self._wire.send(answer, self._clock.now_s())
+            self._late_answers.clear()
 
     def stop(self) -> None:
-        """Laser off: frames that are complete still leave, then the acknowledgement."""
-        if self._thread is None:
-            return
-        self._laser_off.set()
-        while self._thread.is_alive():
-            self.collect()
-            self._thread.join(POLL_S)
-        self.collect()
-        self._thread = None
+        """Power off: whatever has not left is gone."""
+        self._power_off.set()
+        if self._optics is not None:
+            self._optics.join()
+        self._optics = None
 
-    def _start(self) -> None:
-        if self._thread is None:
-            self._source.begin_sweep()
-            self._laser_off.clear()
-            self._thread = threading.Thread(
-                target=self._expose, args=(self._clock.now_s(),), name="optics", daemon=True
-            )
-            self._thread.start()
+    def _laser_on(self) -> None:
+        if self._optics is not None and self._off_s == float("inf"):
+            return
+        self._finish()
+        self._off_s = float("inf")
+        self._source.begin_sweep()
+        self._optics = threading.Thread(target=self._expose, args=(self._clock.now_s(),), name="optics", daemon=True)
+        self._optics.start()
+
+    def _finish(self) -> None:
+        """Laser on again before the last sweep's profiles are out: wait for them."""
+        while self._optics is not None:
+            self.collect()
+            self._power_off.wait(POLL_S)
 
     def _expose(self, began_s: float) -> None:
         timing, count = self._timing, 0
-        while not self._laser_off.is_set():
+        while True:
             time_s = began_s + count / timing.rate_hz
             count += 1
+            if not self._wait_until(time_s + timing.exposure_s / 2) or time_s > self._off_s:
+                return
             number, self._number = self._number, self._number + 1
-            while (wait_s := time_s + timing.exposure_s / 2 - self._clock.now_s()) > 0:
-                if self._laser_off.wait(min(self._clock.wall_s(wait_s), 0.05)):
-                    return
-            if -wait_s > MAX_LAG_S:
+            if self._clock.wall_s(self._clock.now_s() - time_s) > MAX_LAG_WALL_S:
                 self.skipped += 1
                 continue
             line = self._source.line(number, time_s)
             while line is None:
-                if self._laser_off.wait(POLL_S):
+                if self._power_off.wait(POLL_S):
                     return
                 line = self._source.line(number, time_s)
             frame = wide_xz.encode(line, number, timing.device_time_s(time_s))
             delay_s = timing.latency_s + timing.jitter_s * self._rng.random()
             self._hand_over(time_s + timing.exposure_s / 2 + delay_s, frame)
 
+    def _wait_until(self, time_s: float) -> bool:
+        """Whether the time came before power or laser went off."""
+        while (wait_s := time_s - self._clock.now_s()) > 0:
+            if self._off_s < time_s or self._power_off.wait(min(self._clock.wall_s(wait_s), 0.02)):
+                return False
+        return not self._power_off.is_set()
+
     def _hand_over(self, ready_s: float, frame: bytes) -> None:
-        while not self._laser_off.is_set():
+        while not self._power_off.is_set():
             try:
                 self._frames.put((ready_s, frame), timeout=0.05)
                 return
