@@ -18,9 +18,11 @@ from controller.recording_values import Located
 from perception.geometry import Array, Pose
 
 MODEL_ATTACHMENT = "model_points.npz"
-NEAR_MODEL_M = 0.005
+NEAR_MODEL_M = 0.002
 """Scan points farther than this from every model point belong to something else."""
 _NORMAL_NEIGHBOURS = 10
+_EDGE_SPACINGS = 4.0
+"""A point this many sample spacings aside of its nearest sample lies beside the model's edge."""
 _CONTACT_STATES = ("INSERTING", "VERIFYING")
 
 
@@ -139,17 +141,19 @@ def surface_distance(points: Array, model: Array) -> Array:
     """(N,) distance in m from each point to the plane through the model's neighbourhood of its nearest model point.
 
     The distance to the nearest sample alone would show the spacing of the samples. Points farther than ``NEAR_MODEL_M``
-    from every sample get inf.
+    from every sample, and points beside the model's edge, get inf.
     """
     tree = cKDTree(model)
+    spacing_m = float(np.median(tree.query(model[:: max(1, len(model) // 2000)], k=2)[0][:, 1]))
     gap, nearest = tree.query(points, distance_upper_bound=NEAR_MODEL_M)
     near = np.isfinite(gap)
     used, place = np.unique(nearest[near], return_inverse=True)
     distance = np.full(len(points), np.inf)
     if len(used):
         normals = _normals(model, used, tree)
-        offset = points[near] - model[nearest[near]]
-        distance[near] = np.abs(np.einsum("ij,ij->i", offset, normals[place]))
+        height = np.abs(np.einsum("ij,ij->i", points[near] - model[nearest[near]], normals[place]))
+        aside = np.sqrt(np.maximum(gap[near] ** 2 - height**2, 0.0))
+        distance[near] = np.where(aside < _EDGE_SPACINGS * spacing_m, height, np.inf)
     return distance
 
 

@@ -117,15 +117,16 @@ def residuals(alignment: Alignment) -> bytes:
         _label(chart, "distance from the model's surface", "x, mm", "y, mm")
         bar = figure.colorbar(drawn, ax=chart, extend="max", shrink=0.8)
         bar.set_label("mm")
-        histogram.hist(np.clip(distance, 0, 2.0), bins=60, range=(0, 2.0), color=SCAN)
+        histogram.hist(distance, bins=60, range=(0, 2.0), color=SCAN)
         if len(distance):
             for share, name in ((50, "median"), (95, "95 %")):
                 value = float(np.percentile(distance, share))
                 histogram.axvline(value, color=MODEL, linewidth=1.2)
                 label = f" {name} {value:.2f} mm"
                 histogram.annotate(label, (value, 0.97 - 0.07 * (share == 95)), xycoords=_DATA_AND_AXES, color=INK)
+        histogram.set_xlim(0, 2.0)
         histogram.set_title("points by distance", loc="left")
-        histogram.set_xlabel("mm (2 and more in the last bar)")
+        histogram.set_xlabel("mm (points farther than 2 mm are grey on the left)")
         return _picture(figure, "png")
 
 

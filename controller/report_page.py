@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from datetime import UTC, datetime
 
 import numpy as np
+import yaml
 
 from controller.recording_reader import Recording
 from controller.recording_values import Contacted, Decision, LinkReport, Located
@@ -115,6 +116,8 @@ class Page:
     port: str
     attempts: str
     duration: str
+    rehearsal: str
+    """Which dry run this was; empty on a real cell."""
     fault: str
     cause: str
     remedy: str
@@ -145,12 +148,13 @@ def page_of(recording: Recording, spans: tuple[StateSpan, ...], view: Alignment 
         sentence=sentence,
         tone=tone,
         when=_when(recording),
-        port=estimates[-1].estimate.port if estimates else "unknown",
+        port=_port(recording, estimates),
         attempts=_attempts(summary),
         duration=f"{spans[-1].end_s:.1f} s" if spans else "no transition recorded",
+        rehearsal=_rehearsal(recording),
         fault="" if summary is None or summary.fault is None else summary.fault,
         cause=_cause(summary, estimates),
-        remedy="" if summary is None else summary.remedy,
+        remedy="" if summary is None else summary.remedy.removeprefix(f"{summary.fault}: "),
         problems=_problems(recording),
         tiles=_tiles(summary, estimates),
         estimated_pose=_estimated_pose(view),
@@ -173,6 +177,29 @@ def _when(recording: Recording) -> str:
     if not times:
         return "time unknown"
     return datetime.fromtimestamp(min(times) * 1e-9, tz=UTC).strftime("%Y-%m-%d %H:%M:%S UTC")
+
+
+def _port(recording: Recording, estimates: list[Located]) -> str:
+    """From the last estimate, else from the configuration."""
+    if estimates:
+        return estimates[-1].estimate.port
+    attachment = recording.attachments.get("config.yaml")
+    try:
+        values = yaml.safe_load(attachment.data) if attachment is not None else {}
+        return str(values["port"]["model"])
+    except (yaml.YAMLError, KeyError, TypeError):
+        return "unknown"
+
+
+def _rehearsal(recording: Recording) -> str:
+    mission = recording.metadata.get("mission", {})
+    if "scenario" not in mission:
+        return ""
+    pace = mission.get("pace", "1")
+    faster = (
+        "" if pace == "1" else f", wires and arm {pace} times as fast (times here are those of the clock on the wall)"
+    )
+    return f"Dry run with mock hardware: scenario {mission['scenario']}, seed {mission.get('seed', '?')}{faster}."
 
 
 def _attempts(summary: MissionSummary | None) -> str:
