@@ -122,7 +122,11 @@ def _bare(scene: Scene) -> Scene:
 
 
 def cramer_rao(scan: SimulatedScan) -> Bound:
-    """The least error that an unbiased estimator can have, from noise and geometry of the good points alone."""
+    """The least error that an unbiased estimator can have, from noise and geometry of the good points alone.
+
+    The noise is taken along the surface's normal. Sweep-speed error, vibration and the inlet's deviations from its
+    drawing are not part of it, so from nominal on it cannot always be reached.
+    """
     normals = scan.T_scanner_port.inverse().rotate(scan.normals[scan.on_port])
     points = scan.T_scanner_port.inverse().apply(scan.cloud.points[scan.on_port])
     jacobian = np.hstack([normals, np.cross(points, normals)])
