@@ -65,6 +65,12 @@ def trouble(error: Exception) -> Trouble:
     return Trouble.DOWN if code == errno.ENETDOWN else Trouble.BROKEN
 
 
+def is_garbage(error: Exception) -> bool:
+    """Whether an exception of ``recv`` only means bytes that python-can's slcan parser cannot read."""
+    parsing = (ValueError, LookupError, TypeError)
+    return isinstance(error, parsing) or isinstance(error.__cause__, UnicodeDecodeError)
+
+
 def open_error(error: Exception, settings: CanSettings) -> LinkOpenError:
     """One line of cause and one of remedy for a bus that cannot be opened."""
     where = f"{settings.interface} channel {settings.channel}"

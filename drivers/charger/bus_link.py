@@ -17,7 +17,7 @@ from typing import Any
 import can
 
 from drivers.base import ByteSink, CanFrame, Clock, Direction
-from drivers.charger.bus_errors import Trouble, bus_condition, error_classes, open_error, trouble
+from drivers.charger.bus_errors import Trouble, bus_condition, error_classes, is_garbage, open_error, trouble
 from drivers.charger.settings import CanSettings
 
 _log = logging.getLogger(__name__)
@@ -104,11 +104,12 @@ class BusLink:
                 continue
             try:
                 message = self._bus.recv(_READ_TIMEOUT_S)
-            except (can.CanError, OSError) as error:
+            except (can.CanError, OSError, ValueError, LookupError, TypeError) as error:
+                if is_garbage(error):
+                    self._skip_garbage(error)
+                    continue
                 self._note_trouble("rx_errors", error)
                 self._closing.wait(_READ_TIMEOUT_S)
-            except (ValueError, LookupError, TypeError) as error:  # python-can's slcan parser on garbage
-                self._skip_garbage(error)
             else:
                 if message is not None:
                     self._take(message)
@@ -117,7 +118,7 @@ class BusLink:
         self.counters["garbage"] += 1
         _log.debug("unreadable bytes from the CAN adapter: %s", error)
         flush = getattr(self._bus, "flush", None)
-        if isinstance(error, UnicodeDecodeError) and flush is not None:  # its buffer keeps the bytes otherwise
+        if isinstance(error.__cause__, UnicodeDecodeError) and flush is not None:  # its buffer keeps the bytes else
             with contextlib.suppress(can.CanError, OSError):
                 flush()
 

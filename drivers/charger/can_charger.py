@@ -52,6 +52,7 @@ class CanCharger:
         self._news = threading.Condition(self._lock)
         self._codecs = {codec.arbitration_id: codec for codec in self._contract.from_charger}
         self._receivers = {i: Receiver(codec.protection) for i, codec in self._codecs.items()}
+        self._status_receiver = self._receivers[self._contract[messages.STATUS].arbitration_id]
         self._freshness = Freshness(settings.degraded_s, settings.lost_s, settings.recovery_frames)
         command = self._contract[messages.COMMAND]
         self._handshake = Handshake(settings.ack_timeout_s, settings.ack_resends, command.cycle_s)
@@ -107,7 +108,8 @@ class CanCharger:
             now_s = self._clock.now_s()
             liveness = self._freshness.at(now_s)
             status, last_s = self._status, self._freshness.last_s
-            if status is None or last_s is None or liveness not in (Liveness.ALIVE, Liveness.DEGRADED):
+            trusted = liveness in (Liveness.ALIVE, Liveness.DEGRADED) and not self._status_receiver.two_senders
+            if status is None or last_s is None or not trusted:
                 raise LinkLostError(self._lost_text(now_s, liveness))
             electrical, at_s = self._electrical or (_NO_ELECTRICAL, float("-inf"))
             return ChargerStatus(
@@ -131,27 +133,33 @@ class CanCharger:
         with self._lock:
             now_s = self._clock.now_s()
             liveness = self._freshness.at(now_s)
-            up = liveness in (Liveness.ALIVE, Liveness.DEGRADED)
+            up = liveness in (Liveness.ALIVE, Liveness.DEGRADED) and not self._status_receiver.two_senders
             counters = self._link.counters + self._counters
             for verdict in Verdict:
                 counters[_COUNTER_NAMES[verdict]] = self._total(verdict)
             counters["missed"] = sum(r.missed for r in self._receivers.values())
             counters["losses"] = self._freshness.losses
             counters["resent_requests"] = self._handshake.resent
-            notes = [liveness.value if liveness is not Liveness.ALIVE else "", self._link.trouble]
+            notes = [liveness.value if liveness is not Liveness.ALIVE else "", self._trouble()]
             if self._settings.protection is Scheme.NONE:
                 notes.append("frames are not protected")
             detail = "; ".join(note for note in notes if note)
             return LinkHealth(up, self._freshness.last_s, tuple(sorted(counters.items())), detail)
 
     def _lost_text(self, now_s: float, liveness: Liveness) -> str:
-        trouble = f" ({self._link.trouble})" if self._link.trouble else ""
-        last_s = self._freshness.last_s
+        trouble, last_s = self._trouble(), self._freshness.last_s
+        detail = f" ({trouble})" if trouble else ""
         if last_s is None:
-            return f"the charger has not been heard yet{trouble}"
+            return f"the charger has not been heard yet{detail}"
+        if liveness is Liveness.LOST:
+            return f"no valid status from the charger for {now_s - last_s:.2f} s{detail}"
         if liveness is Liveness.RECOVERING:
-            return f"the charger was lost and is being heard again{trouble}"
-        return f"the charger has been silent for {now_s - last_s:.2f} s{trouble}"
+            return f"the charger was lost and is being heard again{detail}"
+        return f"the charger cannot be believed{detail}"
+
+    def _trouble(self) -> str:
+        """What is known to be wrong with the bus, else with the frames on it."""
+        return self._link.trouble or self._status_receiver.suspicion
 
     def _total(self, verdict: Verdict) -> int:
         return sum(receiver.counts[verdict] for receiver in self._receivers.values())

@@ -10,6 +10,7 @@ taken from public implementations, not from the standard.
 from __future__ import annotations
 
 import enum
+from collections import deque
 from dataclasses import dataclass, field
 
 
@@ -51,6 +52,8 @@ class Verdict(enum.Enum):
         return self in (Verdict.OK, Verdict.LOST)
 
 
+_RECENT, _RUN, _MIXED = 16, 5, 6
+"""Of so many last frames this many in a row, or that many astray, are a pattern and not noise."""
 MAX_DELTA = 2
 """A counter may move by this much (one missing frame) without a word."""
 
@@ -151,12 +154,32 @@ class Receiver:
     counts: dict[Verdict, int] = field(default_factory=lambda: dict.fromkeys(Verdict, 0))
     missed: int = 0
     """Frames that the counter says were sent and that never came."""
+    recent: deque[Verdict] = field(default_factory=lambda: deque(maxlen=_RECENT))
 
     def check(self, frame: bytes, counter: int) -> Verdict:
         """Judge one frame whose counter field reads ``counter``, and remember it."""
         verdict = self._judge(frame, counter)
         self.counts[verdict] += 1
+        self.recent.append(verdict)
         return verdict
+
+    @property
+    def suspicion(self) -> str:
+        """What the last frames point to, when they do not run on as one sender's do; empty otherwise."""
+        last = list(self.recent)[-_RUN:]
+        if len(last) == _RUN and set(last) == {Verdict.REPEATED}:
+            return "it repeats its last frame"
+        if len(last) == _RUN and set(last) == {Verdict.BAD_CRC}:
+            return "its checksums do not fit"
+        astray = sum(v in (Verdict.REPEATED, Verdict.WRONG_SEQUENCE, Verdict.LOST) for v in self.recent)
+        if astray >= _MIXED and len(self.recent) == _RECENT:
+            return "counters jump: two nodes seem to send under its identifier"
+        return ""
+
+    @property
+    def two_senders(self) -> bool:
+        """Whether the last frames look like those of two nodes: neither can be believed."""
+        return self.suspicion.startswith("counters jump")
 
     def forget(self) -> None:
         """After a silence the next frame is a first one again."""

@@ -126,7 +126,7 @@ class MockCharger:
             case "ventilation":
                 node.ventilation = bool(value)
             case "reboot":
-                self.node = ChargerNode(self._settings)
+                self._reboot()
             case "garbage":
                 for port in self._adapters():
                     port.write(self._rng.bytes(int(value)))
@@ -136,6 +136,13 @@ class MockCharger:
                         port.unplug()
                     else:
                         port.plug_in()
+
+    def _reboot(self) -> None:
+        """Power off and on, every fault taken out."""
+        self.lines = Lines()
+        self.node = ChargerNode(self._settings)
+        self._watch = RobotWatch(self._lost_s, self._frames.modulus if self._frames.counted else None)
+        self._world.reset()
 
     def _adapters(self) -> list[SlcanPort]:
         return [port for port in self._ports if isinstance(port, SlcanPort)]

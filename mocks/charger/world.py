@@ -6,8 +6,6 @@ import time
 from pathlib import Path
 from typing import Protocol
 
-from mocks.world.blackboard import Blackboard
-
 
 class Surroundings(Protocol):
     """Emulated time, the plug in the port, the emergency stop, and where the lock's position goes."""
@@ -18,6 +16,7 @@ class Surroundings(Protocol):
     def estop(self) -> bool: ...
     def set_estop(self, pressed: bool) -> None: ...
     def set_lock(self, holds: bool) -> None: ...
+    def reset(self) -> None: ...
 
 
 class Alone:
@@ -45,11 +44,16 @@ class Alone:
     def set_lock(self, holds: bool) -> None:
         """Nobody looks."""
 
+    def reset(self) -> None:
+        self._plugged = self._estop = False
+
 
 class Shared:
     """The run's blackboard: the arm mock says where the plug is."""
 
     def __init__(self, folder: Path) -> None:
+        from mocks.world.blackboard import Blackboard  # brings scipy: a second that a charger alone need not wait
+
         self._board = Blackboard.attach(folder)
         self._lock: bool | None = None
 
@@ -72,3 +76,6 @@ class Shared:
         if holds != self._lock:
             self._board.put_lock(holds)
             self._lock = holds
+
+    def reset(self) -> None:
+        """The world goes on without the charger."""

@@ -8,10 +8,10 @@ from typing import Any
 
 import cantools
 import pytest
+from charger_frames import FRAMES
 
 from drivers.base import ChargerRequest, ChargerState, Pilot, PlugLock, Proximity
 from drivers.charger.messages import CHARGER_SIGNALS, ROBOT_SIGNALS, bundled_dbc
-from tests.unit.charger_frames import FRAMES
 
 DATABASE: Any = cantools.database.load_file(bundled_dbc(), strict=True)
 

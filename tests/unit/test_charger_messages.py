@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from charger_frames import FRAMES
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -26,7 +27,6 @@ from drivers.charger.e2e import Scheme
 from drivers.charger.messages import Contract, FrameError, bundled_dbc
 from perception.errors import InputError
 from perception.geometry import Pose
-from tests.unit.charger_frames import FRAMES
 
 CONTRACT = Contract()
 ROTVEC = (1.2345, -2.0001, 0.0001)
