@@ -68,9 +68,7 @@ class Event(enum.Enum):
 
 _S, _E = State, Event
 
-LATCHING = frozenset(
-    {_E.ABORT, _E.ESTOP, _E.PROTECTIVE_STOP, _E.LINK_LOST, _E.CHARGER_FAULT, _E.DEADLINE, _E.FAILED}
-)
+LATCHING = frozenset({_E.ABORT, _E.ESTOP, _E.PROTECTIVE_STOP, _E.LINK_LOST, _E.CHARGER_FAULT, _E.DEADLINE, _E.FAILED})
 """Events that lead from every powered state to FAULT, where only an operator's reset leads out."""
 
 PROCEDURE: dict[tuple[State, Event], State] = {

@@ -29,7 +29,7 @@ from drivers.base import Arm, ByteSink, Charger, Clock, LinkOpenError, Scanner
 from drivers.charger.can_charger import CanCharger
 from drivers.charger.e2e import Scheme
 from drivers.charger.settings import CanSettings
-from drivers.scanner.framed import FramedScanner
+from drivers.scanner.framed import FramedScanner, FramedTimeouts
 from drivers.scanner.serial_link import SerialSettings
 from mocks.world.blackboard import Blackboard
 from mocks.world.spec import WorldSpec
@@ -55,7 +55,9 @@ def build_devices(config: SiteConfig, sink: ByteSink, clock: Clock) -> Devices:
     scanner = load_scanner(config.scanner.format)
     serial = SerialSettings(config.scanner.device, config.scanner.baud_rate)
     return Devices(
-        scanner=FramedScanner(serial, scanner.layout, sink, clock),
+        scanner=FramedScanner(
+            serial, scanner.layout, sink, clock, FramedTimeouts(silence_s=config.scanner.silence_ms / 1000.0)
+        ),
         arm=UrArm(_arm_settings(config), sink, clock),
         charger=CanCharger(_can_settings(config), clock, sink),
     )
@@ -214,7 +216,12 @@ class MockCell:
         with log:
             self._processes.append(
                 subprocess.Popen(
-                    mock_command(name, arguments), stdout=subprocess.PIPE, stderr=log, text=True, cwd=self._folder
+                    [sys.executable, "-m", "mocks", name, *arguments],
+                    stdin=subprocess.DEVNULL,
+                    stdout=subprocess.PIPE,
+                    stderr=log,
+                    text=True,
+                    cwd=self._folder,
                 )
             )
 
@@ -278,8 +285,8 @@ def _await_ready(process: subprocess.Popen[str]) -> dict[str, object]:
                 break
             if process.poll() is not None:
                 break
-    name = process.args[2] if isinstance(process.args, list) else "a mock"
-    raise LinkOpenError(f"{name} did not start", remedy="See its log (mock-*.log) in the run's folder.")
+    name = process.args[3] if isinstance(process.args, list) else "a mock"
+    raise LinkOpenError(f"the mock {name} did not start", remedy="See its log (mock-*.log) in the run's folder.")
 
 
 def _vector(pose: Pose) -> tuple[float, float, float, float, float, float]:

@@ -1,4 +1,4 @@
-"""A port's shape as text, so that processes which know no YAML (the mocks) can be handed one. Raises nothing of its own."""
+"""A port's shape as text, so that processes which know no YAML (the mocks) can be handed one."""
 
 from __future__ import annotations
 

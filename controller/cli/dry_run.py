@@ -85,7 +85,8 @@ def for_mocks(site: SiteConfig) -> SiteConfig:
     """The same site with time-outs that a shared desk machine keeps: its scheduler is not the robot's."""
     charger = site.charger.model_copy(update={"lost_ms": 1000.0, "degraded_ms": 500.0})
     arm = site.arm.model_copy(update={"freshness_ms": 500.0, "watchdog_hz": 2.0, "frequency_hz": 125})
-    return site.model_copy(update={"charger": charger, "arm": arm})
+    scanner = site.scanner.model_copy(update={"silence_ms": 5000.0})
+    return site.model_copy(update={"charger": charger, "arm": arm, "scanner": scanner})
 
 
 def finish(summary: MissionSummary, as_json: bool) -> None:
