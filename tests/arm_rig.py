@@ -36,7 +36,7 @@ def until(condition: Callable[[], bool], what: str, timeout_s: float = 10.0) -> 
     while not condition():
         if time.monotonic() - begun > timeout_s:
             raise AssertionError(f"within {timeout_s} s: {what}")
-        time.sleep(0.002)
+        time.sleep(0.005)
     return time.monotonic() - begun
 
 
@@ -157,6 +157,7 @@ class Rig:
         except BaseException:
             self.mock.close()
             raise
+        self.home = self.arm.state().T_base_tcp
         self.kicker = Kicker(self.arm)
 
     def finish(self, motion_id: int, timeout_s: float = 15.0) -> MotionProgress:

@@ -12,7 +12,7 @@ from collections.abc import Callable
 from typing import Any, Protocol
 
 from drivers.arm import messages as m
-from drivers.arm.worker_link import GO_AWAY_S, Link
+from drivers.arm.worker_link import GO_AWAY_S, LINK_LOST, Link
 
 POLL_S = 0.002
 SETTLE_S = 1.0
@@ -247,7 +247,7 @@ class ControlLoop:
 
     def _program_running(self) -> bool:
         if not self._control.isConnected():
-            raise LinkDeadError("the controller closed the control link")
+            raise LinkDeadError(LINK_LOST)
         return bool(self._control.isProgramRunning())
 
     def _operation_id(self) -> int:

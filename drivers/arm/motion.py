@@ -68,7 +68,7 @@ def _outcome(
         return MotionProgress(motion.motion_id, False, True, detail)
 
     if lost is not None:
-        return failed(f"control link lost: {lost}")
+        return failed(f"link lost: {lost}")
     if status.motion_id != motion.motion_id or status.phase in ("running", "stopping"):
         return None  # the worker's word on this motion is still on its way, or it runs
     if status.phase == "failed":

@@ -79,7 +79,7 @@ class Telemetry:
         """End the thread and the link."""
         self._stop.set()
         self._thread.join(2.0)
-        del self._receive  # its destructor disconnects, and always waits half a second for it
+        _retire(self._receive)
 
     # --- for the arm -------------------------------------------------------------------------------------------------
 
@@ -88,9 +88,10 @@ class Telemetry:
         return self._history[-1] if self._history else None
 
     def is_fresh(self, freshness_s: float) -> bool:
-        """Whether a sample came within the last ``freshness_s``."""
+        """Whether the link is up and a sample came within the last ``freshness_s``."""
         state = self.newest()
-        return state is not None and self._clock.now_s() - state.time_s <= freshness_s
+        recent = state is not None and self._clock.now_s() - state.time_s <= freshness_s
+        return recent and bool(self._receive.isConnected())
 
     def fresh(self, freshness_s: float) -> ArmState:
         """The newest sample. Raises StateLinkLostError or FrozenStateError if it is older than ``freshness_s``."""
@@ -205,6 +206,17 @@ def _known(kind: Any, value: int, otherwise: Any) -> Any:
         return kind(value)
     except ValueError:
         return otherwise
+
+
+_RETIRED: list[Any] = []
+"""Closed interfaces, kept to the process's end: the library's destructor sleeps while it holds Python's global lock,
+which would hold up the supervisor's tick for half a second."""
+
+
+def _retire(receive: Any) -> None:
+    """Disconnect, which takes half a second, in a thread of its own."""
+    _RETIRED.append(receive)
+    threading.Thread(target=receive.disconnect, name="arm-disconnect", daemon=True).start()
 
 
 def _connect(host: str, frequency_hz: float) -> Any:

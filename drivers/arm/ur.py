@@ -173,9 +173,11 @@ class UrArm:
 
     def motion(self) -> MotionProgress:
         """What became of the last motion."""
-        worker = self._worker
-        lost = "not open" if worker is None else worker.lost
-        state = None if self._telemetry is None else self._telemetry.newest()
+        worker, telemetry = self._worker, self._telemetry
+        lost = "the control link is not open" if worker is None else worker.lost
+        if telemetry is None or not telemetry.is_fresh(self._settings.freshness_s):
+            lost = lost or "no fresh state"
+        state = None if telemetry is None else telemetry.newest()
         status, since_s = (m.Status(False, 0, "idle"), 0.0) if worker is None else (worker.status, worker.status_s)
         return self._tracker.progress(status, since_s, state, lost)
 

@@ -8,6 +8,7 @@ one command at a time, and stops the arm and ends when the parent is gone.
 from __future__ import annotations
 
 import os
+import socket
 import sys
 from multiprocessing.connection import Connection
 from typing import Any
@@ -15,6 +16,8 @@ from typing import Any
 from drivers.arm import messages as m
 from drivers.arm.control_loop import ControlLoop, LinkDeadError
 from drivers.arm.worker_link import Link
+
+RTDE_PORT = 30004
 
 
 def open_control(start: m.Start) -> Any:
@@ -33,6 +36,37 @@ def open_control(start: m.Start) -> Any:
     return control
 
 
+class OwnSocket:
+    """The very socket of the control link, to notice when the library has given it up.
+
+    It reconnects by itself from a thread of its own, uploads the script anew, without a watchdog, and often crashes.
+    """
+
+    def __init__(self) -> None:
+        """Find it among this process's open files. Raises RuntimeError."""
+        for entry in os.listdir("/proc/self/fd"):
+            if self._peer_port(int(entry)) == RTDE_PORT:
+                self._fd = int(entry)
+                self._inode = os.fstat(self._fd).st_ino
+                return
+        raise RuntimeError("the control link closed while it was opened")
+
+    def same(self) -> bool:
+        """Whether the link still runs over it."""
+        try:
+            return os.fstat(self._fd).st_ino == self._inode
+        except OSError:
+            return False
+
+    @staticmethod
+    def _peer_port(fd: int) -> int | None:
+        try:
+            with socket.fromfd(fd, socket.AF_INET, socket.SOCK_STREAM) as copy:
+                return int(copy.getpeername()[1])
+        except (OSError, IndexError):
+            return None
+
+
 def serve(connection: Connection) -> None:
     """The worker's life: start, serve, end."""
     link = Link(connection)
@@ -40,6 +74,7 @@ def serve(connection: Connection) -> None:
     link.start_beat()
     try:
         control = open_control(start)
+        link.guard(OwnSocket().same)
         link.send(m.Started(tuple(control.getTCPOffset())))
     except Exception as error:  # whatever the library raises belongs to the parent
         link.send(m.StartFailed(str(error)))

@@ -31,7 +31,9 @@ SILENCE_S = 0.08
 STARVED_S = 1.0
 """Longest silence that a busy processor excuses."""
 CALL_S = 2.0
-"""No sound call of ur_rtde that the worker makes takes longer. A kick never waits as long as this either."""
+"""No sound call of ur_rtde that the worker makes takes longer."""
+KICK_S = 0.5
+"""Nor does a kick take longer than this."""
 LOOK_S = 0.01
 QUIT_S = 1.5
 ROOT = Path(__file__).resolve().parents[2]
@@ -166,7 +168,9 @@ class WorkerClient:
         """Sort one message in. Returns why the worker must be taken for hung, or None."""
         with self._changed:
             match message:
-                case m.Beat() if message.busy_for_s > CALL_S and self._started is not None:
+                case m.Beat() if self._started and message.busy_for_s > (
+                    KICK_S if message.busy_with == "kick" else CALL_S
+                ):
                     return f"{message.busy_with} has not returned for {message.busy_for_s:.1f} s"
                 case m.Status():
                     self._status, self._status_s = message, time.monotonic()

@@ -6,12 +6,14 @@ import os
 import threading
 import time
 from collections import deque
+from collections.abc import Callable
 from multiprocessing.connection import Connection
 from typing import Any
 
 from drivers.arm import messages as m
 
 BEAT_S = 0.01
+LINK_LOST = "the controller closed the control link"
 GO_AWAY_S = 0.5
 """How long the main thread may take to stop the arm once the parent is gone."""
 
@@ -25,14 +27,22 @@ class Link:
         self._requests: deque[m.Request] = deque()
         self._kicked = False
         self._busy: tuple[str, float] = ("", 0.0)
+        self._alive: Callable[[], bool] = lambda: True
         self._parent = os.getppid()
 
     def start_beat(self) -> None:
         """Begin to beat, from a thread of its own: the main thread may be inside a long call."""
         threading.Thread(target=self._beat, daemon=True).start()
 
+    def guard(self, alive: Callable[[], bool]) -> None:
+        """End this process as soon as ``alive`` says no, even while the main thread is inside a call."""
+        self._alive = alive
+
     def _beat(self) -> None:
         while os.getppid() == self._parent:
+            if not self._alive():
+                self.send(m.Ended(LINK_LOST))
+                os._exit(1)
             name, since_s = self._busy
             try:
                 self.send(m.Beat(name, time.monotonic() - since_s if name else 0.0))

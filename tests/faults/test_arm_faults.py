@@ -1,0 +1,319 @@
+"""What goes wrong with an arm while it moves: what the driver reports, that the emulated arm stands still, and back.
+
+The rows follow the ways in which ur_rtde is known to fail. Where a time matters it is measured between what the host
+did and what the driver says, with room for a busy machine.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from arm_rig import Kicker, MockController, Rig, settings, until
+
+from drivers.arm.dashboard import Dashboard
+from drivers.arm.errors import (
+    ControlLinkLostError,
+    FrozenStateError,
+    ProgramStoppedError,
+    SafetyStopError,
+    StateLinkLostError,
+)
+from drivers.arm.ur import UrArm
+from drivers.base import Compliance, LinkLostError, RobotMode, SafetyMode
+
+UP = np.array([0.0, 0.0, 0.02, 0.0, 0.0, 0.0])
+
+
+@pytest.fixture(scope="module")
+def shared():
+    made = Rig()
+    yield made
+    made.close()
+
+
+@pytest.fixture
+def rig(shared):
+    """The one rig, in order, with the arm back where it began."""
+    yield shared
+    mock = shared.mock
+    mock.do("slider", fraction=1.0)
+    mock.do("up", link="all")
+    mock.do("release_estop")
+    mock.do("safety", mode="NORMAL")
+    with Dashboard(mock.host) as dashboard:
+        for command in ("stop", "power on", "brake release"):
+            dashboard.ask(command)
+        until(lambda: dashboard.robot_mode() == "RUNNING", "the controller is ready")
+    shared.arm.recover()
+    shared.kicker.resume()
+    back = shared.arm.move_joints(shared.home, 1.0, 2.0)
+    assert not shared.finish(back).failed
+
+
+@pytest.fixture
+def rig_to_kill():
+    made = Rig()
+    yield made
+    made.close()
+
+
+def set_moving(rig: Rig) -> int:
+    """A long straight motion, under way."""
+    motion = rig.arm.move_linear(rig.arm.state().T_base_tcp.moved([0.0, 0.0, -0.15]), 0.03, 0.5)
+    rig.until_moving()
+    return motion
+
+
+def worker_pid(rig: Rig) -> int:
+    assert rig.arm._worker is not None
+    return rig.arm._worker.pid
+
+
+def works_again(rig: Rig) -> None:
+    """After recovery the arm stands still until it is told to move, and then moves."""
+    rig.mock.until_still()
+    progress = rig.finish(rig.arm.move_linear(rig.arm.state().T_base_tcp.moved([0.0, 0.0, -0.02]), 0.1, 0.5))
+    assert not progress.failed, progress.detail
+
+
+def gone(pid: int) -> bool:
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] == "Z"
+    except OSError:
+        return True
+
+
+# --- the control worker ----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSEGV, signal.SIGSTOP])
+def test_a_crashed_or_hung_worker_is_a_fault_at_once_and_the_arm_stops(rig, number) -> None:
+    motion = set_moving(rig)
+    os.kill(worker_pid(rig), number)
+    took = until(lambda: not rig.arm.health().up, "the link is reported lost")
+    assert took < 0.5  # 0.1 on a quiet machine; benchmarks measure it
+    progress = rig.arm.motion()
+    assert (progress.motion_id, progress.running, progress.failed) == (motion, False, True)
+    with pytest.raises(ControlLinkLostError):
+        rig.arm.move_velocity(UP, 0.5)
+    with pytest.raises(ControlLinkLostError):
+        rig.arm.kick_watchdog()
+    rig.mock.until_still()
+    assert rig.arm.state().T_base_tcp is not None, "state goes on without the worker"
+    rig.arm.recover()
+    works_again(rig)
+
+
+def test_a_lost_worker_in_force_mode_leaves_no_force(rig) -> None:
+    frame = rig.arm.state().T_base_tcp
+    rig.arm.comply(Compliance(frame, (False, False, True, False, False, False), (0, 0, 5.0, 0, 0, 0), (0.02,) * 6))
+    until(lambda: rig.mock.state()["force_mode"], "force mode is on")
+    os.kill(worker_pid(rig), signal.SIGKILL)
+    until(lambda: not rig.mock.state()["force_mode"], "force mode ends")
+    rig.mock.until_still()
+
+
+def test_stop_works_over_the_dashboard_without_a_worker(rig) -> None:
+    rig.arm.move_velocity(UP, 0.5)
+    rig.until_moving()
+    os.kill(worker_pid(rig), signal.SIGKILL)
+    rig.arm.stop()  # no error: the dashboard answered
+    rig.mock.until_still()
+
+
+# --- the network -----------------------------------------------------------------------------------------------------
+
+
+def test_a_dropped_rtde_link_is_reported_and_recovered_from(rig) -> None:
+    set_moving(rig)
+    rig.mock.do("drop", link="rtde")
+    until(lambda: not rig.arm.health().up, "the loss is reported")
+    assert rig.arm.motion().failed
+    rig.mock.until_still()
+    with pytest.raises(StateLinkLostError):
+        rig.arm.state()
+    rig.arm.recover()
+    works_again(rig)
+
+
+def test_frozen_data_is_seen_by_the_controllers_clock(rig) -> None:
+    set_moving(rig)
+    rig.mock.do("freeze", seconds=2.0)
+    with pytest.raises(FrozenStateError):
+        until(lambda: rig.arm.state() is None, "state is stale")
+    with pytest.raises(FrozenStateError):
+        rig.arm.move_velocity(UP, 0.5)
+    rig.kicker.pause()  # as the supervisor does with stale state
+    rig.mock.until_still()
+
+
+def test_a_robot_that_vanishes_is_reported_and_no_call_hangs(rig_to_kill) -> None:
+    rig = rig_to_kill
+    motion = set_moving(rig)
+    rig.mock.kill()
+    until(lambda: not rig.arm.health().up, "the loss is reported")
+    assert (rig.arm.motion().motion_id, rig.arm.motion().failed) == (motion, True)
+    until(lambda: rig.arm._worker.lost is not None, "the control link is lost as well")
+    begun = time.monotonic()
+    for call in (rig.arm.state, rig.arm.kick_watchdog, rig.arm.stop, rig.arm.zero_force_sensor):
+        with pytest.raises(LinkLostError):
+            call()
+    assert time.monotonic() - begun < 5.0
+
+
+def test_closed_ports_then_a_robot_that_is_back(rig) -> None:
+    set_moving(rig)
+    rig.mock.do("down", link="all")
+    until(lambda: not rig.arm.health().up, "the loss is reported")
+    rig.mock.until_still()
+    rig.mock.do("up", link="all")
+    rig.arm.recover()
+    works_again(rig)
+
+
+# --- safety ----------------------------------------------------------------------------------------------------------
+
+
+def test_after_a_protective_stop_nothing_resumes_and_an_operator_is_needed(rig) -> None:
+    set_moving(rig)
+    rig.mock.do("protective_stop")
+    until(lambda: rig.arm.state().safety == SafetyMode.PROTECTIVE_STOP, "the state tells")
+    until(lambda: rig.arm.motion().failed, "the motion has failed")
+    with pytest.raises(ProgramStoppedError):
+        rig.arm.move_velocity(UP, 0.5)
+    until(lambda: rig.mock.state()["program"] is None, "the paused program is ended")
+    with pytest.raises(SafetyStopError):
+        rig.arm.recover()
+    assert rig.arm.state().safety == SafetyMode.PROTECTIVE_STOP, "software does not release it, and still sees it"
+    rig.mock.do("safety", mode="NORMAL")  # the operator's acknowledgement
+    with Dashboard(rig.mock.host) as dashboard:
+        dashboard.ask("play")
+    rig.mock.until_still()
+    rig.arm.recover()
+    works_again(rig)
+
+
+def test_an_emergency_stop_and_the_way_back(rig) -> None:
+    set_moving(rig)
+    rig.mock.do("estop")
+    until(lambda: rig.arm.state().safety == SafetyMode.ROBOT_ESTOP, "the state tells")
+    until(lambda: rig.arm.motion().failed, "the motion has failed")
+    assert rig.arm.state().mode != RobotMode.RUNNING
+    rig.arm.stop()  # never raises for an arm at rest
+    rig.mock.until_still()
+    with pytest.raises(SafetyStopError):
+        rig.arm.recover()
+    rig.mock.do("release_estop")
+    with Dashboard(rig.mock.host) as dashboard:
+        for command in ("close safety popup", "power on", "brake release"):
+            dashboard.ask(command)
+        until(lambda: dashboard.robot_mode() == "RUNNING", "the arm is ready")
+    rig.arm.recover()
+    works_again(rig)
+
+
+def test_a_safeguard_stop_that_ends_does_not_let_the_motion_go_on(rig) -> None:
+    set_moving(rig)
+    rig.mock.do("safeguard", open=True)
+    until(lambda: rig.arm.state().safety == SafetyMode.SAFEGUARD_STOP, "the state tells")
+    until(lambda: rig.arm.motion().failed, "the motion has failed")
+    rig.mock.do("safeguard", open=False)
+    rig.mock.until_still()
+    rig.arm.recover()
+    works_again(rig)
+
+
+def test_a_speed_slider_at_zero_is_no_fault_but_said(rig) -> None:
+    motion = set_moving(rig)
+    rig.mock.do("slider", fraction=0.0)
+    rig.mock.until_still()
+    until(lambda: rig.arm.state().speed_scaling == 0.0, "the state tells")
+    progress = rig.arm.motion()
+    assert progress.running
+    assert "slider" in progress.detail
+    rig.arm.stop()
+    rig.mock.do("slider", fraction=1.0)
+    rig.mock.until_still()
+    assert rig.finish(motion).failed
+
+
+# --- this process ----------------------------------------------------------------------------------------------------
+
+HOST_PROCESS = """
+import sys, time
+import numpy as np
+from arm_rig import Kicker, settings
+from drivers.arm.ur import UrArm
+
+arm = UrArm(settings(sys.argv[1]))
+arm.open()
+kicker = Kicker(arm)
+arm.move_velocity(np.array([0.0, 0.0, 0.02, 0.0, 0.0, 0.0]), 0.5)
+print(arm._worker.pid, flush=True)
+time.sleep(60)
+"""
+
+
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
+def test_a_host_that_dies_or_hangs_leaves_an_arm_that_stands_still(rig, number) -> None:
+    rig.arm.close()
+    path = os.pathsep.join([str(Path(__file__).parents[1]), str(Path(__file__).parents[2])])
+    command = [sys.executable, "-c", HOST_PROCESS, rig.mock.host]
+    host = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=os.environ | {"PYTHONPATH": path})
+    try:
+        assert host.stdout is not None
+        pid = int(host.stdout.readline())
+        until(lambda: not rig.mock.still(), "the arm moves")
+        host.send_signal(number)
+        rig.mock.until_still()
+        if number == signal.SIGKILL:
+            until(lambda: gone(pid), "its worker has ended too")
+    finally:
+        host.kill()
+        host.wait()
+        host.stdout.close()
+
+
+# --- the long campaign -----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.long
+@pytest.mark.timeout(3600)
+def test_two_hundred_kills_at_random_moments_always_leave_the_arm_still() -> None:
+    """Worker, or the controller's whole network side, at any phase of opening, moving, complying and stopping."""
+    rng = np.random.default_rng(6)
+    mock = MockController()
+    try:
+        for _ in range(200):
+            _one_kill(mock, rng)
+    finally:
+        mock.close()
+
+
+def _one_kill(mock: MockController, rng: np.random.Generator) -> None:
+    arm = UrArm(settings(mock.host))
+    arm.open()
+    kicker = Kicker(arm)
+    direction = 0.02 if mock.state()["tcp"][2] < 0.5 else -0.02
+    try:
+        arm.move_velocity(np.array([0.0, 0.0, direction, 0.0, 0.0, 0.0]), 0.5)
+        time.sleep(float(rng.uniform(0.0, 0.4)))
+        match rng.integers(3):
+            case 0:
+                os.kill(arm._worker.pid, signal.SIGKILL)
+            case 1:
+                os.kill(arm._worker.pid, signal.SIGSTOP)
+            case 2:
+                mock.do("drop", link="rtde")
+        until(lambda: not arm.health().up, "the loss is reported")
+        mock.until_still()
+    finally:
+        kicker.close()
+        arm.close()
