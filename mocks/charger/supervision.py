@@ -49,12 +49,12 @@ class RobotWatch:
             return
         self._last_s, self._flags = now_s, flags
         self._missing_good = max(0, self._missing_good - 1)
+        self._was_alive = self._was_alive or self._missing_good == 0
 
     def view(self, now_s: float) -> RobotView:
         """How the robot stands now."""
         self._expire(now_s)
         alive = self._missing_good == 0
-        self._was_alive = self._was_alive or alive
         return RobotView(alive, self._was_alive and not alive, self._flags)
 
     def _expire(self, now_s: float) -> None:
