@@ -116,7 +116,6 @@ def test_the_contactor_opens_only_below_five_amperes(session: Session) -> None:
         current_a = session.node.power.current_a
         session.run(STEP_S)
     assert current_a < 10.0, "the step before it opened"
-        assert session.node.answer.result == "Accepted" or not session.node.power.contactor_closed
     assert session.node.answer.result == "Done"
 
 
