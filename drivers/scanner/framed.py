@@ -34,7 +34,6 @@ class FramedScanner:
     the exposure and the wire time.
 
     :param exposure_s: length of one exposure; the device's time stamp is its middle
-    :param time_scale: device seconds per host second: not 1 only where a mock runs faster than the wall clock
     """
 
     def __init__(
@@ -46,7 +45,6 @@ class FramedScanner:
         timeouts: FramedTimeouts | None = None,
         *,
         exposure_s: float = 0.0,
-        time_scale: float = 1.0,
         queue_profiles: int = 8192,
     ) -> None:
         self._settings = settings
@@ -63,7 +61,7 @@ class FramedScanner:
         self._last_good_s: float | None = None
         self._started_s = 0.0
         wire_time_s = layout.size * 10 / settings.baud_rate  # 8N1: ten bits a byte
-        self._latency_ns = round((exposure_s / 2 + wire_time_s) / time_scale * 1e9)
+        self._latency_ns = round((exposure_s / 2 + wire_time_s) * 1e9)
 
     def open(self) -> None:
         """Open the line. Raises LinkOpenError."""

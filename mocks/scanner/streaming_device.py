@@ -19,6 +19,9 @@ from mocks.scanner.paced_wire import PacedWire
 from mocks.scanner.sources import Source
 
 MAX_LAG_S = 20.0
+"""A computer too slow for the world's pace makes profiles late; this late, in emulated time, they are skipped."""
+FINISH_WALL_S = 0.3
+"""How long after laser-off profiles that were exposed before it may still be computed."""
 POLL_S = 0.001
 
 
@@ -117,20 +120,29 @@ class StreamingDevice:
         while True:
             time_s = began_s + count / timing.rate_hz
             count += 1
-            if not self._wait_until(time_s + timing.exposure_s / 2) or time_s > self._off_s:
+            if not self._wait_until(time_s + timing.exposure_s / 2) or self._is_over(time_s):
                 return
             number, self._number = self._number, self._number + 1
-            if self._clock.wall_s(self._clock.now_s() - time_s) > MAX_LAG_WALL_S:
+            if self._clock.now_s() - time_s > MAX_LAG_S:
                 self.skipped += 1
                 continue
             line = self._source.line(number, time_s)
             while line is None:
-                if self._power_off.wait(POLL_S):
+                if self._power_off.wait(POLL_S) or self._is_over(time_s):
                     return
                 line = self._source.line(number, time_s)
             frame = wide_xz.encode(line, number, timing.device_time_s(time_s))
-            delay_s = timing.latency_s + timing.jitter_s * self._rng.random()
-            self._hand_over(time_s + timing.exposure_s / 2 + delay_s, frame)
+            self._hand_over(time_s + self._delay_s(len(frame)), frame)
+
+    def _delay_s(self, frame_bytes: int) -> float:
+        """From the middle of the exposure to the first bit.
+
+        In a world that runs faster than the wall clock the line is as much faster, but what the driver knows the least
+        delay to be, half the exposure and the wire time, stays the same in wall time.
+        """
+        timing, scale = self._timing, self._clock.scale
+        kept_s = (scale - 1.0) * (timing.exposure_s / 2 + self._wire.duration_s(frame_bytes))
+        return timing.exposure_s / 2 + kept_s + timing.latency_s + timing.jitter_s * self._rng.random()
 
     def _wait_until(self, time_s: float) -> bool:
         """Whether the time came before power or laser went off."""
@@ -138,6 +150,11 @@ class StreamingDevice:
             if self._off_s < time_s or self._power_off.wait(min(self._clock.wall_s(wait_s), 0.02)):
                 return False
         return not self._power_off.is_set()
+
+    def _is_over(self, time_s: float) -> bool:
+        """Whether the laser went off before ``time_s``, or so long ago that what was exposed is no longer awaited."""
+        off_for_s = self._clock.now_s() - self._off_s
+        return time_s > self._off_s or off_for_s > FINISH_WALL_S * self._clock.scale
 
     def _hand_over(self, ready_s: float, frame: bytes) -> None:
         while not self._power_off.is_set():
