@@ -8,6 +8,7 @@ from typing import Annotated
 
 import typer
 
+from controller.recording_compare import first_difference
 from controller.recording_export import ExportFormat, export
 from controller.recording_reader import Recording, read_recording
 from controller.recording_recovery import recover
@@ -72,6 +73,18 @@ def report(
 ) -> None:
     """Write the report of a recording again."""
     print(write_report(file, out or file.parent))
+
+
+@app.command()
+def compare(
+    file: RecordingPath,
+    other: Annotated[Path, typer.Argument(metavar="OTHER", help="The recording to hold against it.")],
+) -> None:
+    """Name the first difference in states, estimates, decisions and arm commands; exit 1 if there is one."""
+    difference = first_difference(read_recording(file), read_recording(other))
+    print("no difference" if difference is None else difference)
+    if difference is not None:
+        raise typer.Exit(1)
 
 
 def _facts(recording: Recording) -> dict[str, object]:
