@@ -3,6 +3,7 @@
 Each line is an object with the key ``do`` and its arguments; each is answered with one JSON line on standard output::
 
     {"do": "protective_stop"}                {"do": "unlock"}
+    {"do": "stop"}                           the running program, as the operator would
     {"do": "estop"}                          {"do": "release_estop"}
     {"do": "safeguard", "open": true}        {"do": "safety", "mode": "FAULT"}
     {"do": "remote", "on": false}            {"do": "slider", "fraction": 0.5}
@@ -42,6 +43,7 @@ class ControlChannel:
         self._buffer = b""
         self._actions: dict[str, Callable[[Fault], object]] = {
             "protective_stop": lambda fault: self._controller.protective_stop(),
+            "stop": lambda fault: self._controller.stop_program(),
             "unlock": lambda fault: self._controller.unlock_protective_stop(),
             "estop": lambda fault: self._controller.emergency_stop(),
             "release_estop": lambda fault: self._controller.release_emergency_stop(),

@@ -7,6 +7,7 @@ data packages are dropped and logged. Input variables belong to the connection t
 from __future__ import annotations
 
 import logging
+import math
 import struct
 from dataclasses import dataclass
 
@@ -33,7 +34,7 @@ class _Stream:
     recipe: OutputRecipe
     recipe_id: int
     period_s: float
-    due_s: float = 0.0
+    due_s: float = -math.inf
 
 
 class Ownership:
@@ -86,7 +87,7 @@ class RtdeClient:
         """The connection has gone."""
         self._ownership.release(self)
 
-    def send_state(self, newest: bool = True) -> None:
+    def send_state(self) -> None:
         """Send what is due; a client that does not keep up misses samples."""
         if not self.started or self._connection.backlog:
             return
@@ -94,7 +95,8 @@ class RtdeClient:
         for stream in self._streams:
             if now < stream.due_s - 1e-6:
                 continue
-            stream.due_s = max(stream.due_s + stream.period_s, now + 0.5 * stream.period_s)
+            on_time = now - stream.due_s < stream.period_s
+            stream.due_s = (stream.due_s if on_time else now) + stream.period_s
             self._connection.send(message(DATA, stream.recipe.pack(stream.recipe_id, self._controller)))
 
     def _handle(self, kind: int, payload: bytes) -> None:

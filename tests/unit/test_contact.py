@@ -40,7 +40,8 @@ def _insert_with_compliance(plug: contact.Misalignment, port: contact.Port, push
         along = float(np.clip(0.001 * (push_n - wrench[2]), -0.015, 0.015)) * 0.008
         lateral = pose.lateral + np.clip(0.001 * wrench[:2], -0.01, 0.01) * 0.008
         rotvec = pose.rotvec + np.clip(0.02 * wrench[3:], -0.05, 0.05) * 0.008
-        still = still + 1 if abs(along) < 2e-7 else 0
+        turned = float(np.abs(rotvec - pose.rotvec).max())
+        still = still + 1 if abs(along) < 2e-7 and turned < 1e-6 else 0
         pose = contact.Misalignment(pose.depth_m + along, lateral, rotvec)
     return told, peak
 
