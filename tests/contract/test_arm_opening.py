@@ -13,7 +13,6 @@ from drivers.arm.dashboard import Dashboard
 from drivers.arm.errors import (
     ArmAbsentError,
     ArmNotReadyError,
-    ArmVersionError,
     ForeignProgramError,
     LocalModeError,
     ProgramStartError,
@@ -162,23 +161,6 @@ def test_the_upper_registers_avoid_an_owner_of_the_lower_ones(mock) -> None:
     assert arm.motion().motion_id == motion
     assert not arm.motion().failed, arm.motion().detail
     arm.close()
-
-
-def test_the_upper_registers_are_refused_where_the_library_breaks_them() -> None:
-    mock = MockController("--version", "5.23.0.0")
-    try:
-        refused(ArmVersionError, mock.host, upper_registers=True)
-    finally:
-        mock.close()
-
-
-@pytest.mark.parametrize("version", ["5.5.1.0", "10.9.0.0"])
-def test_a_polyscope_that_is_not_supported(version) -> None:
-    mock = MockController("--version", version)
-    try:
-        refused(ArmVersionError, mock.host)
-    finally:
-        mock.close()
 
 
 def test_the_lower_registers_work_from_5_23_on() -> None:
