@@ -15,11 +15,11 @@ import time
 from collections import Counter
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import ClassVar
 
 from controller import recording_messages as messages
 from controller import recording_schemas as schemas
 from controller.recording_backlog import Backlog
+from controller.recording_errors import RecordingError, RecordingTargetError
 from controller.recording_file import RecordingFile
 from controller.recording_records import encode_arm_state, encode_can_frame, encode_scanner_bytes
 from controller.recording_values import (
@@ -34,7 +34,6 @@ from controller.recording_values import (
 )
 from controller.summary import ContactSummary, MissionSummary
 from drivers.base import ArmCommandRecord, ArmState, CanFrame, Clock, Direction, LinkHealth
-from perception.errors import PortdockError
 from perception.estimate import PortEstimate
 from perception.geometry import Pose
 from perception.scan import Cloud
@@ -50,15 +49,6 @@ _TF_PERIOD_S = 0.1
 _SCANNER_TOPICS = {"rx": schemas.SCANNER_RX, "tx": schemas.SCANNER_TX}
 
 
-class RecordingError(PortdockError):
-    """The recording cannot be begun, or cannot be continued."""
-
-    code: ClassVar[str] = "recording"
-    default_remedy: ClassVar[str] = (
-        "Free disk space, check that the folder is writable, or give another one with --out."
-    )
-
-
 class Recorder:
     """Writes one recording; implements ``drivers.base.ByteSink``. Thread-safe."""
 
@@ -71,7 +61,7 @@ class Recorder:
         backlog_bytes: int = 16 * 1024 * 1024,
         wall_time_ns: Callable[[], int] = time.time_ns,
     ) -> None:
-        """Create the file (and its folder) and start the writer. Raises RecordingError, also if the file exists.
+        """Create the file (and its folder) and start the writer. Raises RecordingTargetError, also if the file exists.
 
         ``clock`` is the host's monotonic clock that the drivers stamp with, never a paced one.
         """
@@ -83,9 +73,9 @@ class Recorder:
             self._file = RecordingFile(path, chunk_bytes=chunk_bytes, wall_offset_ns=offset_ns)
         except FileExistsError as error:
             remedy = "Give another folder with --out; a recording is evidence and is never overwritten."
-            raise RecordingError(f"the recording {path} exists already", remedy=remedy) from error
+            raise RecordingTargetError(f"the recording {path} exists already", remedy=remedy) from error
         except OSError as error:
-            raise RecordingError(f"cannot write the recording {path}: {error.strerror}") from error
+            raise RecordingTargetError(f"cannot write the recording {path}: {error.strerror}") from error
         self._backlog: Backlog[Job] = Backlog(backlog_bytes)
         self._dropped: Counter[schemas.Topic] = Counter()
         self._drops_lock = threading.Lock()
@@ -108,11 +98,11 @@ class Recorder:
         self._sample(schemas.CAN, 64, to_ns(frame.time_s), lambda: encode_can_frame(frame))
 
     def arm_state(self, state: ArmState) -> None:
-        """One sample of the arm; also as a transform, ten times a second."""
+        """One sample of the arm; ten times a second also as transforms base -> flange -> tcp."""
         self._sample(schemas.ARM, 512, to_ns(state.time_s), lambda: encode_arm_state(state))
         if not self._next_tf_s - _TF_PERIOD_S <= state.time_s < self._next_tf_s:
             self._next_tf_s = state.time_s + _TF_PERIOD_S
-            self.transform("base", "tcp", state.T_base_tcp, state.time_s)
+            self._frames_of(state)
 
     def arm_command(self, record: ArmCommandRecord) -> None:
         """One call to the arm: an event of the mission, never dropped."""
@@ -252,6 +242,12 @@ class Recorder:
             self._backlog.put(job)
             if urgent:
                 self._backlog.wake()
+
+    def _frames_of(self, state: ArmState) -> None:
+        time_ns = to_ns(state.time_s)
+        wall_ns, encode = self._file.wall_ns(time_ns), messages.encode_transform
+        self._sample(schemas.TRANSFORM, 256, time_ns, lambda: encode("base", "flange", state.T_base_flange, wall_ns))
+        self._sample(schemas.TRANSFORM, 256, time_ns, lambda: encode("flange", "tcp", state.T_flange_tcp, wall_ns))
 
     def _dock_pose(self, estimate: PortEstimate, time_s: float) -> None:
         wall_ns = self._file.wall_ns(to_ns(time_s))

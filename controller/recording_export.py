@@ -17,7 +17,8 @@ import can
 import numpy as np
 
 from controller import recording_schemas as schemas
-from controller.recording_reader import Recording, RecordingFileError
+from controller.recording_errors import RecordingFileError
+from controller.recording_reader import Recording
 from controller.recording_records import ARM_STATE, decode_can_frame
 from perception.geometry import Array
 

@@ -13,7 +13,7 @@ from collections import defaultdict
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, BinaryIO, ClassVar, TypeVar
+from typing import Any, BinaryIO, TypeVar
 
 import numpy as np
 from mcap import records as mcap_records
@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 
 from controller import recording_messages as messages
 from controller import recording_schemas as schemas
+from controller.recording_errors import RecordingFileError
 from controller.recording_records import arm_state, arm_table, decode_can_frame, decode_scanner_bytes
 from controller.recording_values import (
     Attachment,
@@ -38,16 +39,8 @@ from controller.recording_values import (
 )
 from controller.summary import MissionSummary
 from drivers.base import ArmCommandRecord, ArmState, CanFrame, Direction
-from perception.errors import InputError
 
 T = TypeVar("T")
-
-
-class RecordingFileError(InputError):
-    """A file is missing, or is not a recording of portdock."""
-
-    code: ClassVar[str] = "recording-file"
-    default_remedy: ClassVar[str] = "Give the .mcap file of a mission."
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,7 +13,8 @@ from controller.recording_recovery import recover
 PRELUDE = """
 import sys, time
 from pathlib import Path
-from controller.recorder import Recorder, RecordingError
+from controller.recorder import Recorder
+from controller.recording_errors import RecordingError
 from drivers.base import CanFrame, MonotonicClock
 recorder = Recorder(Path(sys.argv[1]), MonotonicClock())
 """

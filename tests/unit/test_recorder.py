@@ -1,6 +1,7 @@
 """The recorder never makes a caller wait, loses no event, says what it drops, and fails once and quietly."""
 
 import errno
+import json
 import os
 import threading
 import time
@@ -12,9 +13,11 @@ import pytest
 from recording_samples import ManualClock, arm_state, estimate, new_recorder, record_mission, scan_cloud, summary
 
 from controller import recording_file
-from controller.recorder import Recorder, RecordingError
+from controller.recorder import Recorder
+from controller.recording_errors import RecordingError, RecordingTargetError
 from controller.recording_reader import read_recording
 from drivers.base import ArmCommandRecord, ArmState, ByteSink, CanFrame
+from perception.geometry import Pose
 
 
 def wait_until(condition: Callable[[], bool], timeout_s: float = 20.0) -> None:
@@ -120,7 +123,7 @@ def test_a_transition_reaches_the_disk_without_anyone_waiting(tmp_path: Path, mo
 
 def test_an_existing_file_is_never_overwritten(tmp_path: Path) -> None:
     (tmp_path / "m.mcap").write_bytes(b"evidence")
-    with pytest.raises(RecordingError, match="exists already") as raised:
+    with pytest.raises(RecordingTargetError, match="exists already") as raised:
         new_recorder(tmp_path / "m.mcap")
     assert "--out" in raised.value.remedy
     assert (tmp_path / "m.mcap").read_bytes() == b"evidence"
@@ -128,7 +131,7 @@ def test_an_existing_file_is_never_overwritten(tmp_path: Path) -> None:
 
 def test_a_folder_that_cannot_be_made_is_one_clear_error(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
-    with pytest.raises(RecordingError, match="cannot write the recording"):
+    with pytest.raises(RecordingTargetError, match="cannot write the recording"):
         new_recorder(tmp_path / "file" / "sub" / "m.mcap")
 
 
@@ -236,7 +239,32 @@ def test_transforms_follow_the_arm_ten_times_a_second(tmp_path: Path) -> None:
     for k in range(1000):
         recorder.arm_state(arm_state(100.0 + 0.002 * k))
     recorder.close()
-    assert 19 <= len(read_recording(tmp_path / "m.mcap").topics["/tf"]) <= 21
+    messages = [json.loads(message.data) for message in read_recording(tmp_path / "m.mcap").topics["/tf"]]
+    assert {(m["parent_frame_id"], m["child_frame_id"]) for m in messages} == {("base", "flange"), ("flange", "tcp")}
+    assert 38 <= len(messages) <= 42
+
+
+def test_transforms_are_the_arm_s_own_poses(tmp_path: Path) -> None:
+    recorder = new_recorder(tmp_path / "m.mcap")
+    recorder.arm_state(arm_state(1.0))
+    recorder.close()
+    flange, tcp = (_pose(message.data) for message in read_recording(tmp_path / "m.mcap").topics["/tf"])
+    assert np.allclose((flange @ tcp).matrix, arm_state(1.0).T_base_tcp.matrix)
+    assert np.allclose(flange.matrix, arm_state(1.0).T_base_flange.matrix)
+
+
+def _pose(message: bytes) -> Pose:
+    """As a viewer reads foxglove.FrameTransform: translation, and a quaternion (x, y, z, w)."""
+    values = json.loads(message)
+    x, y, z, w = (values["rotation"][axis] for axis in "xyzw")
+    rotation = np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+    return Pose(rotation, np.array([values["translation"][axis] for axis in "xyz"]))
 
 
 def test_close_is_idempotent_and_what_comes_later_is_ignored(tmp_path: Path) -> None:

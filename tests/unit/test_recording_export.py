@@ -12,8 +12,9 @@ from recording_samples import estimate, new_recorder, record_mission, scan_cloud
 from typer.testing import CliRunner
 
 from controller.cli.recording import app
+from controller.recording_errors import RecordingFileError
 from controller.recording_export import ExportFormat, export
-from controller.recording_reader import Recording, RecordingFileError, read_recording
+from controller.recording_reader import Recording, read_recording
 from controller.recording_ring import prune
 from drivers.base import CanFrame
 from perception.cloud_io import read_cloud

@@ -10,7 +10,8 @@ from mcap.reader import make_reader
 from mcap.stream_reader import StreamReader
 from recording_samples import new_recorder, record_mission
 
-from controller.recording_reader import RecordingFileError, read_recording
+from controller.recording_errors import RecordingFileError
+from controller.recording_reader import read_recording
 from controller.recording_recovery import recover
 from drivers.base import CanFrame
 

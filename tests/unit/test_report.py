@@ -21,7 +21,8 @@ from recording_samples import (
 )
 
 from controller.recorder import Recorder
-from controller.recording_reader import RecordingFileError, read_recording
+from controller.recording_errors import RecordingFileError
+from controller.recording_reader import read_recording
 from controller.report import ReportError, render_report, write_report
 from controller.report_facts import alignment, insertion_traces, state_spans, surface_distance
 from controller.summary import LocateSummary, MissionSummary
