@@ -25,10 +25,13 @@ from controller.scenarios import Scenario
 from drivers.arm.line_check import check_line
 from drivers.arm.settings import UrSettings, Workspace
 from drivers.arm.ur import UrArm
-from drivers.base import Arm, ByteSink, Charger, Clock, LinkOpenError, Scanner
+from drivers.base import Arm, ByteSink, Charger, Clock, LinkOpenError, MonotonicClock, Scanner
 from drivers.charger.can_charger import CanCharger
 from drivers.charger.e2e import Scheme
+from drivers.charger.messages import Contract
 from drivers.charger.settings import CanSettings
+from drivers.charger.traffic import CanTraffic as CanTraffic
+from drivers.charger.traffic import listen_to_bus, listen_to_file
 from drivers.scanner.framed import FramedScanner, FramedTimeouts
 from drivers.scanner.serial_link import SerialSettings
 from mocks.world.blackboard import Blackboard
@@ -237,6 +240,25 @@ class MockCell:
             if process.stdout is not None:
                 process.stdout.close()
         self._processes.clear()
+
+
+def can_traffic(
+    channel: str | None,
+    file: Path | None,
+    interface: str,
+    bitrate: int,
+    dbc: Path | None,
+    protection: str,
+    seconds: float | None,
+) -> CanTraffic:
+    """Something that listens to a charger's bus, or to a recording of one. Raises InputError and LinkOpenError."""
+    if protection not in set(Scheme):
+        raise ConfigError(f"no protection is called {protection}", remedy=f"Choose one of {', '.join(Scheme)}.")
+    contract = Contract(dbc, Scheme(protection))
+    if file is not None:
+        return CanTraffic(contract, listen_to_file(file))
+    settings = CanSettings(channel=channel or "", interface=interface, bitrate=bitrate)
+    return CanTraffic(contract, listen_to_bus(settings, MonotonicClock(), seconds))
 
 
 def mock_command(name: str, arguments: list[str]) -> list[str]:

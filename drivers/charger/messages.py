@@ -130,8 +130,19 @@ class Codec:
             raise FrameError(f"{self.name}: {error}") from error
         return values
 
+    def words(self, frame: bytes) -> tuple[tuple[str, str], ...]:
+        """Signal and value in the DBC's words, header left out. For showing, not for deciding."""
+        values = self.message.decode(frame)
+        shown = [s for s in self.message.signals if s.name not in ("CRC8", "CRC16", "Counter")]
+        return tuple((s.name, _word(values[s.name], s)) for s in shown)
+
     def _header_signals(self) -> list[str]:
         return [s.name for s in self.message.signals if s.name in ("CRC8", "CRC16", "Counter")]
+
+
+def _word(value: Any, signal: Any) -> str:
+    text = f"{value:g}" if isinstance(value, float) else str(value)
+    return f"{text} {signal.unit}" if signal.unit and isinstance(value, int | float) else text
 
 
 class Contract:
@@ -157,6 +168,11 @@ class Contract:
     def __getitem__(self, name: str) -> Codec:
         """The message with this name."""
         return self._codecs[name]
+
+    @property
+    def codecs(self) -> tuple[Codec, ...]:
+        """Every message, the robot's first."""
+        return tuple(self._codecs.values())
 
     @property
     def from_charger(self) -> tuple[Codec, ...]:

@@ -9,9 +9,13 @@ from typing import Any
 import cantools
 import pytest
 from charger_frames import FRAMES
+from typer.testing import CliRunner
 
+from controller.cli.charger import app
+from controller.cli.charger_contract import describe
 from drivers.base import ChargerRequest, ChargerState, Pilot, PlugLock, Proximity
 from drivers.charger.messages import CHARGER_SIGNALS, ROBOT_SIGNALS, bundled_dbc
+from perception.errors import InputError
 
 DATABASE: Any = cantools.database.load_file(bundled_dbc(), strict=True)
 
@@ -113,3 +117,31 @@ def test_no_two_messages_share_an_identifier() -> None:
 def test_the_file_is_package_data() -> None:
     assert bundled_dbc() == Path(bundled_dbc())
     assert bundled_dbc().is_file()
+
+
+# --- docs/can.md ----------------------------------------------------------------------------------------------------
+
+PAGE = Path(__file__).parents[2] / "docs" / "can.md"
+
+
+def test_the_page_is_what_describe_prints() -> None:
+    result = CliRunner().invoke(app, ["describe"])
+    assert result.exit_code == 0
+    assert PAGE.read_text() == result.stdout, "run `portdock charger describe > docs/can.md`"
+
+
+def test_the_page_names_every_signal_and_carries_the_test_vectors() -> None:
+    page = PAGE.read_text()
+    for message in DATABASE.messages:
+        section = page.split(f"### {message.name}\n")[1].split("\n##")[0]
+        for signal in message.signals:
+            assert f"| {signal.name} | {signal.start}\\|{signal.length} |" in section
+        assert f"| {message.name} | `{FRAMES[message.name][1]}` |" in page
+
+
+def test_another_dbc_is_described_and_a_missing_one_named(tmp_path: Path) -> None:
+    path = tmp_path / "supplier.dbc"
+    path.write_text(bundled_dbc().read_text().replace("SG_ SoC : 56|8@1+ (0.5,0)", "SG_ SoC : 56|8@1+ (0.4,0)"))
+    assert "| SoC | 56\\|8 | unsigned | 0.4 | % |" in describe(path)
+    with pytest.raises(InputError, match="there is no DBC"):
+        describe(tmp_path / "none.dbc")
