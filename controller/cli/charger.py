@@ -66,7 +66,8 @@ def _every(period_s: float, ticks: Iterator[None]) -> Iterator[None]:
 
 def _table(traffic: CanTraffic) -> Table:
     table = Table(title=f"{traffic.foreign} foreign frames, {traffic.errors} error frames", title_justify="left")
-    for heading in ("message", "frames", "period", "bad", "repeated", "astray", "missed", "newest"):
+    table.add_column("message", no_wrap=True)
+    for heading in ("frames", "period", "bad", "repeated", "astray", "missed", "newest"):
         table.add_column(heading, overflow="fold")
     for row in traffic.health():
         period = "" if row.period_s is None else f"{1000.0 * row.period_s:.0f} of {1000.0 * row.cycle_s:.0f} ms"
