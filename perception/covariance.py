@@ -1,8 +1,8 @@
 """How far the pose may be off: from the geometry of the points and from how the residuals hang together.
 
-Point noise alone gives s^2 inv(H). What the sweep's speed error, vibration and the part's own tolerances add is not
-independent from point to point, and shows as residuals that agree within a neighbourhood. The sandwich estimator with
-one cluster for each patch of surface (Liang and Zeger, Biometrika 73, 1986) counts each patch as one observation.
+Point noise alone gives inv(H). What vibration, speed errors and the part's own tolerances add is not independent from
+point to point, and shows as residuals that agree within a neighbourhood. The sandwich estimator with one cluster for each
+patch of surface (Liang and Zeger, Biometrika 73, 1986) counts each patch as one observation.
 """
 
 from __future__ import annotations
@@ -17,16 +17,13 @@ PATCH_M = 0.006
 
 def covariance(refined: Refined) -> Array:
     """(6, 6) covariance of translation (m) then rotation vector (rad), in the port frame."""
-    weighted = refined.jacobian * refined.weight[:, None]
-    information = weighted.T @ refined.jacobian
-    inverse = np.linalg.inv(information)
-    noise = refined.scale_m**2 * inverse @ (weighted.T @ weighted) @ inverse
+    inverse = np.linalg.inv(refined.information)
     patch = np.unique(_patches(refined), return_inverse=True)[1]
     count = int(patch.max()) + 1
-    pull = weighted * refined.distance[:, None]
-    sums = np.stack([np.bincount(patch, pull[:, k], minlength=count) for k in range(6)], axis=1)
+    pull = refined.jacobian * (refined.weight * refined.distance)[:, None]
+    sums = np.stack([np.bincount(patch, pull[:, k], minlength=count) for k in range(pull.shape[1])], axis=1)
     clustered = inverse @ (sums.T @ sums) @ inverse * (count / max(count - 6, 1))
-    return np.asarray(noise + clustered)
+    return np.asarray((inverse + clustered)[:6, :6])
 
 
 def _patches(refined: Refined) -> Array:

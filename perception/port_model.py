@@ -21,10 +21,12 @@ from perception.surface import Surface, visible_surface
 
 _log = logging.getLogger(__name__)
 
-_VERSION = "4"
+_VERSION = "7"
 """Part of the cache key: raise it when the preparation changes."""
-SPACING_M = 0.0008
+SPACING_M = 0.0012
 EDGE_SPACING_M = 0.0004
+FACING_M = 0.003
+"""Millimetres of distance that a difference of one radian in facing direction counts as."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,8 +99,9 @@ class PortModel:
 
     @cached_property
     def tree(self) -> cKDTree:
-        """A kd-tree of the surface samples."""
-        return cKDTree(self.surface.points)
+        """A kd-tree of the surface samples by place and facing direction (6-D, normals times ``FACING_M``)."""
+        keys = np.hstack([self.surface.points, FACING_M * self.surface.normals])
+        return cKDTree(keys, balanced_tree=False, compact_nodes=False)
 
     @property
     def size(self) -> tuple[Array, Array]:
@@ -134,7 +137,8 @@ def _load(path: Path) -> tuple[Surface, NearestField] | None:
 
 def _save(path: Path, surface: Surface, nearest: NearestField) -> None:
     """Writes beside and renames, so that two processes at once do no harm. What cannot be written is not cached."""
-    columns = np.column_stack([surface.points, surface.normals, surface.visibility, surface.edge_m, surface.area_m2])
+    scalars = (surface.visibility, surface.edge_m, surface.area_m2, surface.level)
+    columns = np.column_stack([surface.points, surface.normals, *scalars])
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.NamedTemporaryFile(dir=path.parent, suffix=".tmp", delete=False) as file:

@@ -1,33 +1,35 @@
 """Final pose: iteratively reweighted point-to-plane registration of every point near the port against the CAD.
 
-The scale of the weights follows the scan's own noise. Points near edges count less, since a laser spot there mixes two
-surfaces, and so do points whose nearest surface the sensor could not have seen.
+The gate starts wide and closes to a multiple of the scan's own noise; it may not close at once, since a pose half a
+millimetre off sideways sees its few wall points as outliers among the many on flats that fit already.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
-import small_gicp
-from scipy.spatial import cKDTree
 
 from perception.crop import Scene
 from perception.errors import DegenerateCloudError
 from perception.geometry import Array, Pose
+from perception.matching import Matches, Measured, match, measure
+from perception.nuisance import columns
 from perception.port_model import PortModel
 
-ROUNDS = 12
-_REACH_M = 0.003
+ROUNDS = 14
+FULL_ROUNDS = 2
+_SUBSET = 6000
 _MIN_SCALE_M = 0.00003
 _TUKEY = 4.0
 """Points further off than this many robust standard deviations have no weight."""
 _FIRST_GATE_M = 0.0015
 _GATE_SHRINK = 0.75
-_NEIGHBOURS = 16
-_MIN_COSINE = 0.7
 _EDGE_SIGMAS = 2.5
 """A point nearer to an edge than this many standard deviations may belong to either side."""
+_EDGE_NOISE_M = 0.0015
+"""Standard deviation of where a sampled surface seems to end."""
+_EDGE_GATE_M = 0.0012
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -36,69 +38,50 @@ class Refined:
 
     T_prior_port: Pose
     jacobian: Array
-    """(N, 6) of the used points' distances by a motion in the port frame: translation (m), rotation vector (rad)."""
+    """(N, 6 + K): the distances by a motion in the port frame (translation m, rotation vector rad) and by nuisances."""
     distance: Array
-    """(N,) signed distances to the model surface, metres."""
+    """(N,) residuals, metres: signed distances to the surface, then to edges."""
     weight: Array
-    """(N,) weights, 0 to 1."""
+    """(N,) weights of the equations, 1/m2."""
+    precision: Array
+    """(6 + K,) prior information of each parameter; 0 for the pose."""
     local: Array
     """(N, 3) the used points in the port frame."""
+    planes: int
+    """How many of the equations, the first ones, are distances to surfaces."""
     scale_m: float
-    """Robust standard deviation of the distances."""
+    """Robust standard deviation of the distances to surfaces."""
 
     @property
     def rms_m(self) -> float:
-        """Weighted root mean square distance."""
-        return float(np.sqrt((self.weight * self.distance**2).sum() / max(self.weight.sum(), 1e-12)))
+        """Weighted root mean square distance to the surface."""
+        w, d = self.weight[: self.planes], self.distance[: self.planes]
+        return float(np.sqrt((w * d**2).sum() / max(w.sum(), 1e-12)))
+
+    @property
+    def information(self) -> Array:
+        """(6 + K, 6 + K) normal matrix with the priors."""
+        return np.asarray((self.jacobian * self.weight[:, None]).T @ self.jacobian + np.diag(self.precision))
 
 
 def refine(start: Pose, scene: Scene, model: PortModel, *, rounds: int = ROUNDS, threads: int = 2) -> Refined:
     """Refines ``start`` (T_prior_port). Raises DegenerateCloudError when the points near it do not fix a pose."""
-    surface = model.surface
-    tree = model.tree
-    pose, scale = start, 0.0005
-    near = model.nearest.lookup(pose.inverse().apply(scene.points)) < model.nearest.none
-    points, origins = scene.points[near], scene.origins[near]
-    if len(points) < 50:
+    near = model.nearest.lookup(start.inverse().apply(scene.points)) < model.nearest.none
+    if int(near.sum()) < 50:
         raise DegenerateCloudError("hardly any scan point lies near the port's surface")
-    measured = _normals(points, origins, threads)
-    result: Refined | None = None
+    everything = measure(scene.points[near], scene.origins[near], threads)
+    some = everything.every(max(1, len(everything.points) // _SUBSET))
+    pose, scale = start, 0.0005
     for round_ in range(rounds):
-        inverse = pose.inverse()
-        local = inverse.apply(points)
-        index = _nearest(tree, local, threads)
-        valid = index < len(surface)
-        local, index = local[valid], index[valid]
-        n = surface.normals[index]
-        distance = np.einsum("ij,ij->i", local - surface.points[index], n)
-        usable = (np.einsum("ij,ij->i", inverse.apply(origins[valid]) - local, n) > 0) & (
-            np.einsum("ij,ij->i", inverse.rotate(measured[valid]), n) > _MIN_COSINE
-        )
-        scale = _robust_scale(distance[usable], previous=scale)
-        base = usable * np.clip(surface.edge_m[index] / (_EDGE_SIGMAS * scale) - 0.5, 0.0, 1.0)
-        gate = max(_TUKEY * scale, _FIRST_GATE_M * _GATE_SHRINK**round_)
-        u = distance / gate
-        weight = np.where(np.abs(u) < 1, (1 - u**2) ** 2, 0.0) * base
-        jacobian = np.concatenate([n, np.cross(local, n)], axis=1)
-        result = Refined(pose, jacobian, distance, weight, local, scale)
-        step = _step(result)
-        pose = _moved(pose, step)
-        if gate <= _TUKEY * scale and np.linalg.norm(step[:3]) < 1e-6 and np.linalg.norm(step[3:]) < 1e-5:
-            break
-    assert result is not None
-    return Refined(pose, result.jacobian, result.distance, result.weight, result.local, result.scale_m)
-
-
-def _normals(points: Array, origins: Array, threads: int) -> Array:
-    cloud = small_gicp.PointCloud(points)
-    small_gicp.estimate_normals(cloud, small_gicp.KdTree(cloud, threads), _NEIGHBOURS, threads)
-    normals: Array = np.asarray(cloud.normals())[:, :3].copy()
-    normals[np.einsum("ij,ij->i", normals, origins - points) < 0] *= -1.0
-    return normals
-
-
-def _nearest(tree: cKDTree, local: Array, threads: int) -> Array:
-    return np.asarray(tree.query(local, distance_upper_bound=_REACH_M, workers=threads)[1])
+        current = some if round_ < rounds - FULL_ROUNDS else everything
+        gate = _FIRST_GATE_M * _GATE_SHRINK**round_
+        matches = match(pose, current, model, threads)
+        scale = _robust_scale(matches.distance, previous=scale)
+        equations = _equations(pose, matches, model, scale, gate)
+        if current is everything:
+            equations = _with_nuisance(equations, matches, current, scene, model)
+        pose = _moved(pose, _step(equations))
+    return replace(equations, T_prior_port=pose)
 
 
 def _robust_scale(distance: Array, previous: float) -> float:
@@ -110,16 +93,56 @@ def _robust_scale(distance: Array, previous: float) -> float:
     return float(np.clip(1.4826 * np.median(close), max(_MIN_SCALE_M, 0.67 * previous), previous))
 
 
+def _equations(pose: Pose, matches: Matches, model: PortModel, scale: float, gate: float) -> Refined:
+    """One row for each point's distance to its surface, and one for each point beyond an edge."""
+    taper = np.clip(model.surface.edge_m[matches.index] / (_EDGE_SIGMAS * scale) - 0.5, 0.0, 1.0)
+    weight = _tukey(matches.distance, max(_TUKEY * scale, gate)) * taper / scale**2
+    beyond = np.flatnonzero((matches.overhang > 0) & (np.abs(matches.distance) < max(3 * scale, gate)))
+    edge_weight = _tukey(matches.overhang[beyond], _EDGE_GATE_M) / _EDGE_NOISE_M**2
+    planes = np.hstack([matches.normal, np.cross(matches.local, matches.normal)])
+    outward = matches.outward[beyond]
+    edges = np.hstack([outward, np.cross(matches.local[beyond], outward)])
+    return Refined(
+        pose,
+        np.vstack([planes, edges]),
+        np.concatenate([matches.distance, matches.overhang[beyond]]),
+        np.concatenate([weight, edge_weight]),
+        np.zeros(6),
+        np.vstack([matches.local, matches.local[beyond]]),
+        len(planes),
+        scale,
+    )
+
+
+def _with_nuisance(equations: Refined, matches: Matches, measured: Measured, scene: Scene, model: PortModel) -> Refined:
+    """The same equations with columns for what part and sweep may do that the model does not say."""
+    pose = equations.T_prior_port
+    sweep = measured.origins[matches.kept] @ scene.sweep_direction
+    towards = np.median(measured.origins, axis=0) - pose.translation
+    extra, sigma = columns(pose, matches, sweep, towards / np.linalg.norm(towards), model)
+    blank = np.zeros((len(equations.distance) - equations.planes, len(sigma)))
+    return replace(
+        equations,
+        jacobian=np.hstack([equations.jacobian, np.vstack([extra, blank])]),
+        precision=np.concatenate([equations.precision, sigma**-2]),
+    )
+
+
+def _tukey(residual: Array, gate: float) -> Array:
+    u = residual / gate
+    return np.where(np.abs(u) < 1, (1 - u**2) ** 2, 0.0)
+
+
 def _step(current: Refined) -> Array:
-    weighted = current.jacobian * current.weight[:, None]
-    information = weighted.T @ current.jacobian
-    scaling = np.array([1.0] * 3 + [1 / 0.03] * 3)
-    scaled = information * np.outer(scaling, scaling)
-    values = np.linalg.eigvalsh(scaled)
-    if values[0] < 1e-5 * max(values[-1], 1e-12):
+    """The pose's part (6,) of the solution of the normal equations."""
+    information = current.information
+    scaling = np.concatenate([[1.0] * 3, [1 / 0.03] * 3, np.ones(len(information) - 6)])
+    pose_part = (information * np.outer(scaling, scaling))[:6, :6]
+    values = np.linalg.eigvalsh(pose_part)
+    if values[0] < 1e-6 * max(values[-1], 1e-12):
         raise DegenerateCloudError("the points near the port leave its pose undetermined in at least one direction")
-    gradient = -(weighted * current.distance[:, None]).sum(axis=0)
-    return np.asarray(np.linalg.solve(scaled, gradient * scaling) * scaling)
+    gradient = -(current.jacobian * (current.weight * current.distance)[:, None]).sum(axis=0)
+    return np.asarray(np.linalg.solve(information, gradient)[:6])
 
 
 def _moved(pose: Pose, step: Array) -> Pose:

@@ -15,12 +15,13 @@ from scipy.spatial import cKDTree
 
 from perception.geometry import Array
 
-SPACING_M = 0.0003
+SPACING_M = 0.00035
 FAR_M = 0.005
 NEAR_EDGE_M = 0.0015
+LEVEL_GAP_M = 0.001
 EDGE_COSINE = 0.8
 PIXEL_M = 0.0008
-_RINGS = ((0.0, 1), (15.0, 6), (30.0, 10), (45.0, 12), (55.0, 12))
+_RINGS = ((0.0, 1), (20.0, 6), (40.0, 8), (55.0, 8))
 """(angle from +z in degrees, number of directions around it)."""
 
 
@@ -38,6 +39,8 @@ class Surface:
     """(M,) distance to the nearest sharp edge, at most ``FAR_M``; scan points near one mix two surfaces."""
     area_m2: Array
     """(M,) the area that each sample stands for."""
+    level: Array
+    """(M,) number of the flat that faces along the axis which the sample belongs to; 0 on the rim plane and off flats."""
 
     def __len__(self) -> int:
         return len(self.points)
@@ -50,7 +53,9 @@ class Surface:
         key = np.column_stack([cells, facing, spacing > edge_spacing_m])
         _, keep, group = np.unique(key, axis=0, return_index=True, return_inverse=True)
         area = np.asarray(np.bincount(group.reshape(-1), self.area_m2), dtype=np.float64)
-        return Surface(self.points[keep], self.normals[keep], self.visibility[keep], self.edge_m[keep], area)
+        return Surface(
+            self.points[keep], self.normals[keep], self.visibility[keep], self.edge_m[keep], area, self.level[keep]
+        )
 
 
 def sample_mesh(vertices: Array, faces: NDArray[np.int64], spacing_m: float) -> tuple[Array, Array]:
@@ -94,7 +99,8 @@ def visible_surface(vertices: Array, faces: NDArray[np.int64], spacing_m: float 
     share = front / len(directions)
     keep = share >= 1.5 / len(directions)
     points, normals, share = points[keep], normals[keep], share[keep]
-    return Surface(points, normals, share, _edge_distance(points, normals), np.full(len(points), spacing_m**2))
+    area = np.full(len(points), spacing_m**2)
+    return Surface(points, normals, share, _edge_distance(points, normals), area, _levels(points, normals))
 
 
 def front_directions() -> Array:
@@ -120,6 +126,20 @@ def _seen_from(points: Array, normals: Array, direction: Array) -> NDArray[np.bo
     cosine = np.abs(normals @ direction)
     slope = np.sqrt(1.0 - np.minimum(cosine, 1.0) ** 2) / np.maximum(cosine, 0.2)
     return np.asarray(depth > nearest[flat] - (0.0003 + PIXEL_M * slope))
+
+
+def _levels(points: Array, normals: Array) -> Array:
+    """Numbers the heights at which surface faces along the axis; heights within ``LEVEL_GAP_M`` are one level."""
+    facing = normals[:, 2] > 0.97
+    bins = np.floor(points[:, 2] / (0.5 * LEVEL_GAP_M)).astype(np.int64)
+    heights, counts = np.unique(bins[facing], return_counts=True)
+    heights = heights[counts > 30]
+    number = np.cumsum(np.diff(heights, prepend=heights[:1] - 9) > 1)
+    level = np.zeros(len(points))
+    for bin_, k in zip(heights, number, strict=True):
+        level[facing & (bins == bin_)] = k
+    level[np.abs(points[:, 2]) < LEVEL_GAP_M] = 0
+    return level
 
 
 def _edge_distance(points: Array, normals: Array, radius_m: float = 0.0007) -> Array:
