@@ -7,6 +7,7 @@ Prints one JSON line, ``{"device": PATH, "protocol": ..., "pid": ...}``, when it
   ``port_shape.json`` (mocks.scanner.shape_file.save_shape) and ``blackboard`` (Blackboard.create);
 - any other value: the path of a recorded sweep (.npz, see mocks/scanner/sources.py).
 
+SIGUSR1 pulls the plug: the symlink goes and an open client's line breaks. SIGUSR2 plugs it in again under another pty.
 Without ``--baud`` the device speaks at whatever rate the client has set; with it, a client at another rate gets
 garbage.
 """
@@ -17,9 +18,11 @@ import argparse
 import json
 import logging
 import os
+import queue
 import signal
 import sys
 import threading
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -58,13 +61,14 @@ def main(arguments: list[str] | None = None) -> int:
         options.drift_ppm,
     )
     device = StreamingDevice(source, wire, timing, clock, rng)
-    signal.signal(signal.SIGUSR1, lambda *_: line.unplug())
-    signal.signal(signal.SIGUSR2, lambda *_: None if line.plugged_in else line.plug_in())
+    requests: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
+    signal.signal(signal.SIGUSR1, lambda *_: requests.put(line.unplug))
+    signal.signal(signal.SIGUSR2, lambda *_: requests.put(line.plug_in))
     line.plug_in()
     sys.stdout.write(json.dumps({"device": str(options.link), "protocol": "wide_xz", "pid": os.getpid()}) + "\n")
     sys.stdout.flush()
     try:
-        serve(device, line, wire, clock, stopping)
+        serve(device, line, wire, clock, stopping, requests)
     finally:
         line.unplug()
     return 0

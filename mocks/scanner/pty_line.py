@@ -24,10 +24,19 @@ class PtyLine:
     def __init__(self, link: Path) -> None:
         self.link = link
         self._master, self._slave = -1, -1
+        self._last_name = ""
 
     def plug_in(self) -> None:
         """Make a pty and point the symlink at it. Raises FileExistsError if ``link`` is something else than a link."""
+        if self.plugged_in:
+            return
         self._master, self._slave = os.openpty()
+        if os.ttyname(self._slave) == self._last_name:  # a device that comes back does so under another name
+            first = self._master, self._slave
+            self._master, self._slave = os.openpty()
+            for descriptor in first:
+                os.close(descriptor)
+        self._last_name = os.ttyname(self._slave)
         tty.setraw(self._slave)  # a new pty echoes and turns \n into \r\n
         os.set_blocking(self._master, False)
         self.link.parent.mkdir(parents=True, exist_ok=True)

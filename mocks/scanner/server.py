@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import logging
+import queue
 import select
 import threading
+from collections.abc import Callable
 from typing import Protocol
 
 from mocks.scanner.emulated_clock import EmulatedClock
@@ -29,10 +31,22 @@ class Device(Protocol):
         """Power off."""
 
 
-def serve(device: Device, line: PtyLine, wire: PacedWire, clock: EmulatedClock, stopping: threading.Event) -> None:
-    """Until ``stopping`` is set. Wakes at once for commands, else every TICK_S of wall time."""
+def serve(
+    device: Device,
+    line: PtyLine,
+    wire: PacedWire,
+    clock: EmulatedClock,
+    stopping: threading.Event,
+    requests: queue.SimpleQueue[Callable[[], None]],
+) -> None:
+    """Until ``stopping`` is set. Wakes at once for commands, else every TICK_S of wall time.
+
+    :param requests: what others (signal handlers) want done between two turns of this loop
+    """
     try:
         while not stopping.is_set():
+            while not requests.empty():
+                requests.get()()
             if line.plugged_in:
                 readable, _, _ = select.select([line.fileno()], [], [], TICK_S)
                 if readable:
