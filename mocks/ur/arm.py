@@ -38,6 +38,16 @@ class FreeSpace:
         return np.zeros(6)
 
 
+class Floor:
+    """A level surface of 20 N/mm at a height in the base frame; it touches the flange."""
+
+    def __init__(self, height_m: float) -> None:
+        self._height_m = height_m
+
+    def step(self, T_base_flange: Array, dt: float) -> Array:
+        return np.array([0.0, 0.0, 20e3 * max(0.0, self._height_m - float(T_base_flange[2, 3])), 0.0, 0.0, 0.0])
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class ForceMode:
     """force_mode of URScript, type 2: the task frame stays where it is."""

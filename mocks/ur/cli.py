@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from mocks.ur.arm import Arm, FreeSpace, Sensor
+from mocks.ur.arm import Arm, Environment, Floor, FreeSpace, Sensor
 from mocks.ur.control_channel import ControlChannel
 from mocks.ur.controller import Controller
 from mocks.ur.environment import PortEnvironment
@@ -53,7 +53,9 @@ def build(options: argparse.Namespace) -> UrServer:
     model = options.model or (world.arm_model if world else "ur10e")
     joints = world.start_joints if world else START_JOINTS
     rng = np.random.default_rng(world.seed if world else 0)
-    environment = PortEnvironment(world, board) if world and board else FreeSpace()
+    environment: Environment = FreeSpace() if options.floor is None else Floor(options.floor)
+    if world is not None and board is not None:
+        environment = PortEnvironment(world, board)
     arm = Arm(Kinematics(MODELS[model]), np.array(joints), environment, Sensor(rng, 0.3, 0.01, 3.0, 0.1))
     version = tuple(int(part) for part in options.version.split("."))
     controller = Controller(arm, (version[0], version[1], version[2], version[3]))
@@ -93,6 +95,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--control", action="store_true", help="take faults as JSON lines on stdin; its end ends the mock"
     )
+    parser.add_argument("--floor", type=float, help="height in m of a floor that the flange can touch, without --world")
     parser.add_argument("--local", action="store_true", help="start in local mode: scripts are ignored")
     parser.add_argument("--log", default="WARNING", help="log level")
     return parser
