@@ -184,7 +184,8 @@ def _signed(limits: Range, rng: Rng) -> float:
 def _sweep(scene: Scene, T_scanner_port: Pose, sensor: SensorModel, tier: Tier, rng: Rng) -> Sweep:
     """Profiles along y of the scanner frame; what the arm reports differs from where it was (speed, vibration)."""
     length, pitch = rng.uniform(0.20, 0.26), rng.uniform(0.0006, 0.0009)
-    y = np.arange(-length / 2, length / 2, pitch)
+    count = round(length / pitch)
+    y = (np.arange(count) - count // 2) * pitch  # the middle profile is taken at y = 0: its frame is the scan's
     T_port_scanner = T_scanner_port.inverse()
     believed = [T_port_scanner.moved([0.0, step, 0.0]) for step in y]
     shake = _vibration(len(y), rng) * rng.uniform(*tier.vibration_mm) / 1000.0

@@ -54,13 +54,18 @@ def nominal() -> SimulatedScan:
     return simulate_scan(TYPE2, "nominal", np.random.default_rng(5))
 
 
-def distance_to(shape_mesh: tuple[Array, Array], points: Array) -> Array:
+def closest_on(mesh: tuple[Array, Array], points: Array) -> Array:
+    """The mesh's point nearest to each of points (N, 3)."""
     caster = o3d.t.geometry.RaycastingScene()
-    vertices, faces = shape_mesh
-    caster.add_triangles(
-        o3d.core.Tensor.from_numpy(vertices.astype(np.float32)), o3d.core.Tensor.from_numpy(faces.astype(np.uint32))
-    )
-    away: Array = caster.compute_distance(o3d.core.Tensor.from_numpy(points.astype(np.float32))).numpy()
+    vertices, faces = (o3d.core.Tensor.from_numpy(a.astype(t)) for a, t in zip(mesh, "fI", strict=True))
+    caster.add_triangles(vertices, faces)
+    answer = caster.compute_closest_points(o3d.core.Tensor.from_numpy(points.astype(np.float32)))
+    closest: Array = answer["points"].numpy().astype(np.float64)
+    return closest
+
+
+def distance_to(mesh: tuple[Array, Array], points: Array) -> Array:
+    away: Array = np.linalg.norm(closest_on(mesh, points) - points, axis=1)
     return away
 
 
@@ -95,6 +100,22 @@ def test_labelled_points_lie_on_the_inlet_under_the_truth(nominal: SimulatedScan
     assert np.median(away) < 1.2 * nominal.noise_m
     assert np.quantile(away, 0.95) < 4 * nominal.noise_m + 0.0003
     assert nominal.on_port.sum() > 3000
+
+
+def test_the_truth_leaves_no_systematic_residual() -> None:
+    """What a least-squares fit of the drawing to the labelled points still finds to move stays within a few bounds."""
+    scan = simulate_scan(CCS2, "easy", np.random.default_rng(77), tolerance=BuiltTolerance.none())
+    port_scanner = scan.T_scanner_port.inverse()
+    points = port_scanner.apply(scan.cloud.points[scan.on_port])
+    normals = port_scanner.rotate(scan.normals[scan.on_port])
+    closest = closest_on(build_mesh(CCS2), points)
+    residual = np.einsum("ni,ni->n", points - closest, normals)
+    near = np.abs(residual) < 0.0004
+    jacobian = np.hstack([normals, np.cross(points, normals)])[near]
+    correction = np.linalg.lstsq(jacobian, residual[near], rcond=None)[0]
+    bound = cramer_rao(scan)
+    assert np.linalg.norm(correction[:3]) < 4 * bound.translation_m
+    assert np.linalg.norm(correction[3:]) < 4 * bound.rotation_rad
 
 
 def test_labels_agree_with_each_other(nominal: SimulatedScan) -> None:
