@@ -11,6 +11,7 @@ import os
 import struct
 from collections import defaultdict
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, BinaryIO, TypeVar
@@ -91,11 +92,11 @@ class Recording:
 
     def scanner_chunks(self, direction: Direction | None = None) -> list[ScannerChunk]:
         """The serial line's bytes in both directions or one, in order of time."""
-        chunks = []
-        for name, topic in (("rx", schemas.SCANNER_RX), ("tx", schemas.SCANNER_TX)):
-            if direction in (None, name):
-                parts = (decode_scanner_bytes(message.data) for message in self.raw(topic))
-                chunks += [ScannerChunk(name, time_ns, data) for time_ns, data in parts]  # type: ignore[arg-type]
+        chunks: list[ScannerChunk] = []
+        sides: tuple[tuple[Direction, schemas.Topic], ...] = (("rx", schemas.SCANNER_RX), ("tx", schemas.SCANNER_TX))
+        for side, topic in sides:
+            if direction in (None, side):
+                chunks += [ScannerChunk(side, *parts) for parts in self._decode(topic, decode_scanner_bytes)]
         return sorted(chunks, key=lambda chunk: chunk.host_time_ns)
 
     def can_frames(self) -> list[CanFrame]:
@@ -104,7 +105,8 @@ class Recording:
 
     def arm_table(self) -> NDArray[np.void]:
         """All arm states as a structured array (N,), see ``recording_records.ARM_STATE``."""
-        return arm_table([message.data for message in self.raw(schemas.ARM)])
+        with self._guard(schemas.ARM):
+            return arm_table([message.data for message in self.raw(schemas.ARM)])
 
     def arm_states(self) -> list[ArmState]:
         """All arm states as the driver's values."""
@@ -124,7 +126,8 @@ class Recording:
 
     def scans(self) -> list[Scanned]:
         """Clouds of the finished sweeps."""
-        return [messages.decode_cloud(message.data, message.time_s) for message in self.raw(schemas.POINTS)]
+        with self._guard(schemas.POINTS):
+            return [messages.decode_cloud(message.data, message.time_s) for message in self.raw(schemas.POINTS)]
 
     def contacts(self) -> list[Contacted]:
         """Contact numbers of each attempt."""
@@ -136,20 +139,29 @@ class Recording:
 
     def notes(self) -> list[Note]:
         """The mission's log."""
-        return [messages.decode_note(message.data, message.time_s) for message in self.raw(schemas.LOG)]
+        with self._guard(schemas.LOG):
+            return [messages.decode_note(message.data, message.time_s) for message in self.raw(schemas.LOG)]
 
     def drops(self) -> list[Drops]:
         """Samples that the recorder had to drop."""
         return self._decode(schemas.DROPS, messages.decode_drops)
 
     def summary(self) -> MissionSummary | None:
-        """The mission's result; None if the recorder did not live to write it."""
+        """The mission's result; None if the recorder did not live to write it, or if it is damaged."""
         table = self.metadata.get("summary")
-        return None if table is None else messages.decode_summary(table["json"])
+        try:
+            return None if table is None else messages.decode_summary(table["json"])
+        except (KeyError, TypeError, ValueError):  # metadata carries no checksum
+            return None
 
     def _decode(self, topic: schemas.Topic, decode: Callable[[bytes], T]) -> list[T]:
-        try:
+        with self._guard(topic):
             return [decode(message.data) for message in self.raw(topic)]
+
+    @contextmanager
+    def _guard(self, topic: schemas.Topic) -> Iterator[None]:
+        try:
+            yield
         except (KeyError, TypeError, ValueError) as error:
             remedy = "Read it with the version of portdock that wrote it (portdock recording info says which)."
             raise RecordingFileError(f"{self.path}: cannot read topic {topic.name}: {error}", remedy=remedy) from error

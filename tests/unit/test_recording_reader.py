@@ -1,9 +1,13 @@
 """A recording that was cut or damaged gives back everything before and around the damage, and says what is missing."""
 
+import contextlib
 import io
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 from mcap import records
 from mcap.exceptions import McapError
 from mcap.reader import make_reader
@@ -32,6 +36,11 @@ def mission(tmp_path_factory: pytest.TempPathFactory) -> bytes:
             recorder.attach("config.yaml", b"x" * 300, "application/yaml")
     recorder.close()
     return path.read_bytes()
+
+
+@pytest.fixture(scope="module")
+def whole_mission(tmp_path_factory: pytest.TempPathFactory) -> bytes:
+    return record_mission(tmp_path_factory.mktemp("recording") / "m.mcap").read_bytes()
 
 
 def chunk_spans(data: bytes) -> list[tuple[int, int]]:
@@ -149,3 +158,41 @@ def test_a_mission_without_an_end_has_no_summary(tmp_path: Path) -> None:
     whole = record_mission(tmp_path / "m.mcap").read_bytes()
     (tmp_path / "cut.mcap").write_bytes(whole[: len(whole) // 2])
     assert read_recording(tmp_path / "cut.mcap").summary() is None
+
+
+@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(data=st.data())
+def test_bytes_gone_wrong_are_never_more_than_one_clear_error(
+    whole_mission: bytes, tmp_path: Path, data: st.DataObject
+) -> None:
+    damaged = bytearray(whole_mission)
+    for _ in range(data.draw(st.integers(1, 4))):
+        damaged[data.draw(st.integers(0, len(damaged) - 1))] = data.draw(st.integers(0, 255))
+    (tmp_path / "m.mcap").write_bytes(damaged)
+    try:
+        recording = read_recording(tmp_path / "m.mcap")
+    except RecordingFileError:
+        assert damaged[:8] != whole_mission[:8]
+        return
+    for take in (
+        recording.transitions,
+        recording.can_frames,
+        recording.arm_states,
+        recording.estimates,
+        recording.scans,
+    ):
+        with contextlib.suppress(RecordingFileError):
+            take()
+    recording.summary()
+
+
+def test_a_recording_of_another_version_is_one_clear_error(tmp_path: Path) -> None:
+    recorder = new_recorder(tmp_path / "m.mcap")
+    recorder.scanner_bytes("rx", b"abc", 1)
+    recorder.close()
+    recording = read_recording(tmp_path / "m.mcap")
+    (message,) = recording.topics["/scanner/rx"]
+    recording.topics["/scanner/rx"] = [replace(message, data=b"another layout")]
+    with pytest.raises(RecordingFileError, match="cannot read topic /scanner/rx") as raised:
+        recording.scanner_chunks()
+    assert "version" in raised.value.remedy
