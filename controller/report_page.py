@@ -141,7 +141,7 @@ def page_of(recording: Recording, spans: tuple[StateSpan, ...], view: Alignment 
     """Words and numbers of one mission."""
     summary, start_s = recording.summary(), start_time_s(recording)
     estimates = recording.estimates()
-    headline, sentence, tone = _UNFINISHED if summary is None else _VERDICTS[summary.outcome]
+    headline, sentence, tone = _UNFINISHED if summary is None else _VERDICTS.get(summary.outcome, _UNFINISHED)
     configuration = recording.attachments.get("config.yaml")
     return Page(
         headline=headline,

@@ -167,10 +167,12 @@ def test_a_hanging_disk_blocks_no_caller_and_costs_only_named_samples(
         recorder.arm_command(ArmCommandRecord(1.0, "stopL", (float(k),), "accepted"))
     assert recorder.dropped == 40
     disk.open.set()
+    wait_until(lambda: recorder.dropped == 0)
+    recorder.scanner_bytes("rx", b"after the gap", 2)
     recorder.close()
     recording = read_recording(tmp_path / "m.mcap")
     assert recorder.failure is None
-    assert len(recording.scanner_chunks()) == 10
+    assert [message.sequence for message in recording.topics["/scanner/rx"]] == [*range(10), 50]
     assert [(d.topic, d.count) for d in recording.drops()] == [("/scanner/rx", 40)]
     assert len(recording.arm_commands()) == 50
 
