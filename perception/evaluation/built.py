@@ -15,7 +15,7 @@ from perception.port_shape import Cavity, Contact, Finish, Insert, PortShape
 
 @dataclass(frozen=True, slots=True)
 class BuiltTolerance:
-    """Standard deviations of a built inlet's deviations from its drawing, and ranges of its finish."""
+    """Standard deviations of a built inlet's deviations from its drawing, and what its edges look like."""
 
     shrink: float = 0.0003
     """Relative error of the overall scale."""
@@ -27,13 +27,14 @@ class BuiltTolerance:
     """Depth of the inserts' faces."""
     floor_m: float = 0.0003
     """Depth of the floors."""
-    draft_rad: tuple[float, float] = (float(np.deg2rad(0.2)), float(np.deg2rad(0.8)))
-    edge_radius_m: tuple[float, float] = (0.00015, 0.00035)
+    draft_rad: float = float(np.deg2rad(0.1))
+    edge_radius_m: tuple[float, float] = (0.00010, 0.00030)
+    """Range of the radius that moulding adds to the drawing's edges."""
 
     @staticmethod
     def none() -> BuiltTolerance:
         """The drawing itself: sharp edges, no draft, no deviation."""
-        return BuiltTolerance(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, (0.0, 0.0), (0.0, 0.0))
+        return BuiltTolerance(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, (0.0, 0.0))
 
 
 TYPICAL = BuiltTolerance()
@@ -44,7 +45,8 @@ def built_variant(shape: PortShape, tolerance: BuiltTolerance, rng: np.random.Ge
     contacts = tuple(_built_contact(contact, tolerance, rng) for contact in shape.contacts)
     inserts = tuple(_built_insert(insert, tolerance, rng) for insert in shape.inserts)
     cavity = Cavity(shape.cavity.outline, shape.cavity.depth_m + rng.normal(0.0, tolerance.floor_m))
-    finish = Finish(float(rng.uniform(*tolerance.draft_rad)), float(rng.uniform(*tolerance.edge_radius_m)))
+    draft = max(shape.finish.draft_rad + rng.normal(0.0, tolerance.draft_rad), 0.0)
+    finish = Finish(float(draft), shape.finish.edge_radius_m + float(rng.uniform(*tolerance.edge_radius_m)))
     return replace(shape, cavity=cavity, inserts=inserts, contacts=contacts, finish=finish)
 
 

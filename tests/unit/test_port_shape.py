@@ -78,12 +78,13 @@ def test_depths_of_ccs2_are_those_of_the_drawing(ccs2: Gauge) -> None:
 
 
 def test_widths_of_ccs2_are_those_of_the_drawing(ccs2: Gauge) -> None:
-    around_pin = ccs2.width(4.0, 0.0, 20.0)
-    assert around_pin + 6.0 / 2 == pytest.approx(14.8 / 2, abs=0.03)  # pin 6.0 in a well of 14.8
-    around_dc = ccs2.width(-13.5 + 6.0, -49.5, 20.0)
-    assert around_dc + 8.0 / 2 == pytest.approx(23.8 / 2, abs=0.03)  # pin 8.0 in a well of 23.8
-    gap = ccs2.width(31.0, -49.5, 20.0)
-    assert gap == pytest.approx((68.9 - 55.7) / 2, abs=0.03)  # from the DC island to the cavity's wall
+    taper = 20.0 * np.tan(np.deg2rad(0.25))
+    around_pin = ccs2.width(4.0, 0.0, 2.0 + 20.0) + taper
+    assert around_pin + 6.0 / 2 == pytest.approx(15.0 / 2, abs=0.03)  # pin 6.0 in a well of 15.0
+    around_dc = ccs2.width(-13.5 + 6.0, -49.5, 2.0 + 20.0) + taper
+    assert around_dc + 8.0 / 2 == pytest.approx(24.0 / 2, abs=0.03)  # pin 8.0 in a well of 24.0
+    gap = ccs2.width(31.0, -49.5, 20.0) + 2 * taper
+    assert gap == pytest.approx((68.9 - 55.7) / 2, abs=0.04)  # from the DC island to the cavity's wall
 
 
 def test_outer_size_of_ccs2() -> None:
