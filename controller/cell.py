@@ -43,6 +43,9 @@ from perception.scan import Cloud
 
 log = logging.getLogger(__name__)
 
+CAUSE_TICKS = 25
+"""So long may the state link lag behind the control link in telling why a command failed."""
+
 
 class Locator(Protocol):
     """Perception in its worker process."""
@@ -86,13 +89,21 @@ class Cell:
         name, detail = type(command).__name__, _described(command)
         self.records.command(name, detail, refusal is None, "" if refusal is None else str(refusal))
         if refusal is not None:
-            raise MissionFault(FaultCode.GATE_REFUSED, f"{name} ({detail}): {refusal}")
+            raise self.explained(FaultCode.GATE_REFUSED, f"{name} ({detail}): {refusal}")
         try:
             self._give(command)
         except LinkLostError as error:
             raise MissionFault(_LINK_OF.get(type(command), FaultCode.ARM_LINK_LOST), error.cause) from error
         except PortdockError as error:
-            raise MissionFault(FaultCode.MOTION_FAILED, error.cause) from error
+            raise self.explained(FaultCode.MOTION_FAILED, error.cause) from error
+
+    def explained(self, code: FaultCode, detail: str) -> MissionFault:
+        """The fault, or the one behind it: a stop or a lost link shows in what it makes fail before a tick names it."""
+        try:
+            self.supervisor.wait_ticks(CAUSE_TICKS)
+        except MissionFault as cause:
+            return cause
+        return MissionFault(code, detail)
 
     def situation(self) -> Situation:
         """What the gate judges by, as fresh as the links have it."""
@@ -152,7 +163,7 @@ class Cell:
             raise MissionFault(FaultCode.MOTION_FAILED, f"{type(command).__name__} did not end in {timeout_s:.0f} s")
         progress = self.arm.motion()
         if progress.failed:
-            raise MissionFault(FaultCode.MOTION_FAILED, progress.detail or f"{type(command).__name__} failed")
+            raise self.explained(FaultCode.MOTION_FAILED, progress.detail or f"{type(command).__name__} failed")
 
     def ask(self, request: ChargerRequest, timeout_s: float) -> RequestResult:
         """Give the charger a request and wait for its answer."""

@@ -90,7 +90,7 @@ class Looking:
         finally:
             cell.do(Laser(on=False))
         if cell.arm.motion().failed:
-            raise MissionFault(FaultCode.MOTION_FAILED, cell.arm.motion().detail)
+            raise cell.explained(FaultCode.MOTION_FAILED, cell.arm.motion().detail)
         self.scans_made += 1
         self._keep(profiles, cell.arm.history(began_s))
 

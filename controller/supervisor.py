@@ -256,6 +256,15 @@ class Supervisor:
                     return False
                 self._changed.wait(timeout=0.1)
 
+    def wait_ticks(self, count: int) -> None:
+        """Wait until ``count`` further ticks have looked at everything. Raises MissionFault as soon as one trips."""
+        with self._changed:
+            last = self._ticks + count
+            while self._ticks < last and self._thread.is_alive():
+                if self._trip is not None:
+                    raise MissionFault(self._trip.code, self._trip.detail)
+                self._changed.wait(timeout=0.1)
+
     # --- the tick
 
     def _run(self) -> None:
@@ -276,7 +285,7 @@ class Supervisor:
         fault = Fault(FaultCode.ABORTED, "by request") if self._request.abort else assess(seen)
         if fault is not None:
             self._latch(fault)
-        elif self._trip is None and seen.state is not State.OFFLINE:
+        elif self._trip is None and seen.state not in (State.OFFLINE, State.FAULT):
             self._kick_watchdog()
         if self._ticks % HEARTBEAT_EVERY == 0:
             self._send_heartbeat(seen)
@@ -338,7 +347,7 @@ class Supervisor:
             arm is not None,
             arm is not None and arm.moving,
         )
-        mode = 15 if self._trip is not None else facts.mode
+        mode = 15 if self._trip is not None or facts.state is State.FAULT else facts.mode
         flags = sum(1 << k for k, bit in enumerate(bits) if bit)
         return Heartbeat(mode, int(facts.state), flags, facts.cycle_id)
 
