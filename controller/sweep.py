@@ -45,8 +45,8 @@ def join(
     Both clocks are fitted to the host's by the lower envelope of delivery, then the flange's pose is interpolated at
     each profile's time. Profiles from before the first or after the last arm sample are left out.
 
-    :param latency_s: by how much a profile's ``time_s`` is late at best, from calibration; exposure and wire time are
-        the driver's matter. In the device's seconds
+    :param latency_s: least delay from a profile's device time stamp (the middle of its exposure) to its last byte:
+        half the exposure, wire time and what calibration found. In the device's seconds
     :param arm_latency_s: the same for an arm sample
     :param time_scale: device seconds per host second: not 1 only where mocks run faster than the wall clock
     :raises SweepError: too few or too many lost profiles, no arm samples, or a clock that jumps

@@ -30,10 +30,7 @@ class FramedTimeouts:
 class FramedScanner:
     """``drivers.base.Scanner`` for devices that stream. Profiles wait in a bounded queue; the oldest go first.
 
-    ``Profile.time_s`` is the time at which the frame's last byte was read, less what no frame can be faster than: half
-    the exposure and the wire time.
-
-    :param exposure_s: length of one exposure; the device's time stamp is its middle
+    ``Profile.time_s`` is the time at which the frame's last byte was read; exposure and wire time are still in it.
     """
 
     def __init__(
@@ -44,7 +41,6 @@ class FramedScanner:
         clock: Clock,
         timeouts: FramedTimeouts | None = None,
         *,
-        exposure_s: float = 0.0,
         queue_profiles: int = 8192,
     ) -> None:
         self._settings = settings
@@ -60,8 +56,6 @@ class FramedScanner:
         self._abandon = False
         self._last_good_s: float | None = None
         self._started_s = 0.0
-        wire_time_s = layout.size * 10 / settings.baud_rate  # 8N1: ten bits a byte
-        self._latency_ns = round((exposure_s / 2 + wire_time_s) * 1e9)
 
     def open(self) -> None:
         """Open the line. Raises LinkOpenError."""
@@ -120,7 +114,7 @@ class FramedScanner:
             if self._abandon:
                 self._abandon = False
                 self._parser.abandon_partial()
-            profiles = self._parser.feed(chunk, host_time_ns - self._latency_ns)
+            profiles = self._parser.feed(chunk, host_time_ns)
             wanted = self._streaming or self._layout.start is not None  # a device without a switch streams unasked
             if profiles and wanted:
                 self._last_good_s = host_time_ns * 1e-9

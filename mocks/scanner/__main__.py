@@ -4,7 +4,7 @@ Prints one JSON line, ``{"device": PATH, "protocol": ..., "pid": ...}``, when it
 
 - ``groove``: a made-up panel, no world needed;
 - ``world``: ray-cast from the mock world in ``--world DIR``. The folder holds ``world.json`` (WorldSpec.save),
-  ``port_shape.json`` (mocks.scanner.shape_file.save_shape) and ``blackboard`` (Blackboard.create);
+  ``port_shape.json`` (WorldSpec.save_shape) and ``blackboard`` (Blackboard.create);
 - any other value: the path of a recorded sweep (.npz, see mocks/scanner/sources.py).
 
 SIGUSR1 pulls the plug: the symlink goes and an open client's line breaks. SIGUSR2 plugs it in again under another pty.

@@ -45,10 +45,6 @@ class PacedWire:
         """Nothing waits to be sent."""
         return not self._pending and not self._buffer
 
-    def duration_s(self, count: int) -> float:
-        """How long ``count`` bytes take on the line."""
-        return count * 10.0 / (self._device_baud or max(self._baud(), 1))
-
     def _baud(self) -> int:
         return self._line.client_baud() if self._line.plugged_in else (self._device_baud or FALLBACK_BAUD)
 

@@ -132,17 +132,8 @@ class StreamingDevice:
                     return
                 line = self._source.line(number, time_s)
             frame = wide_xz.encode(line, number, timing.device_time_s(time_s))
-            self._hand_over(time_s + self._delay_s(len(frame)), frame)
-
-    def _delay_s(self, frame_bytes: int) -> float:
-        """From the middle of the exposure to the first bit.
-
-        In a world that runs faster than the wall clock the line is as much faster, but what the driver knows the least
-        delay to be, half the exposure and the wire time, stays the same in wall time.
-        """
-        timing, scale = self._timing, self._clock.scale
-        kept_s = (scale - 1.0) * (timing.exposure_s / 2 + self._wire.duration_s(frame_bytes))
-        return timing.exposure_s / 2 + kept_s + timing.latency_s + timing.jitter_s * self._rng.random()
+            delay_s = timing.latency_s + timing.jitter_s * self._rng.random()
+            self._hand_over(time_s + timing.exposure_s / 2 + delay_s, frame)
 
     def _wait_until(self, time_s: float) -> bool:
         """Whether the time came before power or laser went off."""

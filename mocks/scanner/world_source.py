@@ -13,7 +13,6 @@ from pathlib import Path
 import numpy as np
 
 from mocks.scanner.emulated_clock import EmulatedClock
-from mocks.scanner.shape_file import load_shape
 from mocks.world.blackboard import Blackboard
 from mocks.world.spec import WorldSpec
 from perception.evaluation.scene import Negative, SceneSpec, build_scene
@@ -34,7 +33,7 @@ class WorldSource:
         self._rng = rng
         vehicle_rng = np.random.default_rng(self._spec.seed)
         negative: Negative | None = "plain" if self._spec.panel == "plain" else None
-        self._scene = build_scene(SceneSpec(load_shape(folder), negative), vehicle_rng)
+        self._scene = build_scene(SceneSpec(WorldSpec.load_shape(folder), negative), vehicle_rng)
         self._sensor = SensorModel(noise_m=self._spec.profile_noise_m)
         self._glaring = False
         self._T_port_base = self._spec.port_pose.inverse()
