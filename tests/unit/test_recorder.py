@@ -10,7 +10,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from recording_samples import ManualClock, arm_state, estimate, new_recorder, record_mission, scan_cloud, summary
 
 from controller import recording_file
 from controller.recorder import Recorder
@@ -18,6 +17,15 @@ from controller.recording_errors import RecordingError, RecordingTargetError
 from controller.recording_reader import read_recording
 from drivers.base import ArmCommandRecord, ArmState, ByteSink, CanFrame
 from perception.geometry import Pose
+from tests.unit.recording_samples import (
+    ManualClock,
+    arm_state,
+    estimate,
+    new_recorder,
+    record_mission,
+    scan_cloud,
+    summary,
+)
 
 
 def wait_until(condition: Callable[[], bool], timeout_s: float = 20.0) -> None:

@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from recording_samples import ManualClock, estimate, new_recorder
 from typer.testing import CliRunner
 
 from controller.cli.recording import app
@@ -16,6 +15,7 @@ from controller.recording_compare import first_difference
 from controller.recording_reader import Recording, read_recording
 from drivers.base import ArmCommandRecord
 from perception.geometry import Pose
+from tests.unit.recording_samples import ManualClock, estimate, new_recorder
 
 Change = Callable[[Recorder], None]
 MOVE = ArmCommandRecord(1.0, "moveL", (0.5, 0.1, 0.3, 0.0, 3.1, 0.0, 0.05, 0.2), "accepted")

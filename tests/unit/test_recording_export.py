@@ -8,7 +8,6 @@ from pathlib import Path
 import can
 import numpy as np
 import pytest
-from recording_samples import estimate, new_recorder, record_mission, scan_cloud
 from typer.testing import CliRunner
 
 from controller.cli.recording import app
@@ -18,6 +17,7 @@ from controller.recording_reader import Recording, read_recording
 from controller.recording_ring import prune
 from drivers.base import CanFrame
 from perception.cloud_io import read_cloud
+from tests.unit.recording_samples import estimate, new_recorder, record_mission, scan_cloud
 
 
 @pytest.fixture(scope="module")

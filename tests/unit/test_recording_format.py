@@ -8,7 +8,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from mcap.reader import make_reader
-from recording_samples import arm_state, record_mission, scan_cloud
 
 from controller import recording_messages as messages
 from controller import recording_schemas as schemas
@@ -23,6 +22,7 @@ from controller.recording_records import (
     encode_scanner_bytes,
 )
 from drivers.base import CanFrame
+from tests.unit.recording_samples import arm_state, record_mission, scan_cloud
 
 FLOATS = st.floats(allow_nan=False)
 

@@ -12,12 +12,12 @@ from mcap import records
 from mcap.exceptions import McapError
 from mcap.reader import make_reader
 from mcap.stream_reader import StreamReader
-from recording_samples import new_recorder, record_mission
 
 from controller.recording_errors import RecordingFileError
 from controller.recording_reader import read_recording
 from controller.recording_recovery import recover
 from drivers.base import CanFrame
+from tests.unit.recording_samples import new_recorder, record_mission
 
 FRAMES_PER_CHUNK = 20
 CHUNKS = 6

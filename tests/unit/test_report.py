@@ -7,7 +7,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from recording_samples import (
+
+from controller.recorder import Recorder
+from controller.recording_errors import RecordingFileError
+from controller.recording_reader import read_recording
+from controller.report import ReportError, render_report, write_report
+from controller.report_facts import alignment, insertion_traces, state_spans, surface_distance
+from controller.summary import LocateSummary, MissionSummary
+from drivers.base import LinkHealth
+from perception.geometry import Pose
+from tests.unit.recording_samples import (
     T_BASE_PORT,
     ManualClock,
     arm_state,
@@ -19,15 +28,6 @@ from recording_samples import (
     scan_cloud,
     summary,
 )
-
-from controller.recorder import Recorder
-from controller.recording_errors import RecordingFileError
-from controller.recording_reader import read_recording
-from controller.report import ReportError, render_report, write_report
-from controller.report_facts import alignment, insertion_traces, state_spans, surface_distance
-from controller.summary import LocateSummary, MissionSummary
-from drivers.base import LinkHealth
-from perception.geometry import Pose
 
 
 class Page(HTMLParser):

@@ -3,11 +3,11 @@
 import io
 
 import pytest
-from recording_samples import summary
 from rich.console import Console
 
 from controller.cli.progress import LiveDisplay, MissionDisplay, PlainDisplay, make_display, time_by_state
 from controller.summary import LocateSummary, MissionSummary
+from tests.unit.recording_samples import summary
 
 
 def console(terminal: bool) -> Console:
