@@ -27,8 +27,8 @@ from drivers.arm.settings import UrSettings, Workspace
 from drivers.arm.ur import UrArm
 from drivers.base import Arm, ByteSink, Charger, Clock, LinkOpenError, MonotonicClock, Scanner
 from drivers.charger.can_charger import CanCharger
+from drivers.charger.contract import Contract
 from drivers.charger.e2e import Scheme
-from drivers.charger.messages import Contract
 from drivers.charger.settings import CanSettings
 from drivers.charger.traffic import CanTraffic as CanTraffic
 from drivers.charger.traffic import listen_to_bus, listen_to_file
@@ -258,7 +258,7 @@ def can_traffic(
     if file is not None:
         return CanTraffic(contract, listen_to_file(file))
     settings = CanSettings(channel=channel or "", interface=interface, bitrate=bitrate)
-    return CanTraffic(contract, listen_to_bus(settings, MonotonicClock(), seconds))
+    return CanTraffic(contract, listen_to_bus(settings, MonotonicClock(), seconds, contract.is_fd))
 
 
 def mock_command(name: str, arguments: list[str]) -> list[str]:

@@ -16,12 +16,12 @@ from typing import Any
 
 import can
 
-from drivers.base import ByteSink, CanFrame, Clock, Direction
-from drivers.charger.bus_errors import Trouble, bus_condition, error_classes, is_garbage, open_error, trouble
+from drivers.base import ByteSink, CanFrame, Clock, Direction, LinkOpenError
+from drivers.charger.bus_errors import Trouble, bus_condition, error_classes, is_garbage, trouble
+from drivers.charger.bus_open import READ_TIMEOUT_S, Filter, close_bus, open_bus
 from drivers.charger.settings import CanSettings
 
 _log = logging.getLogger(__name__)
-_READ_TIMEOUT_S = 0.05
 _WRITE_TIMEOUT_S = 0.1
 _FULL_S = 0.25
 """A queue that stays full for this long is a bus on which nobody acknowledges."""
@@ -36,14 +36,12 @@ class BusLink:
         clock: Clock,
         sink: ByteSink,
         receive: Callable[[int, bytes, float], None],
-        filters: list[tuple[int, bool]],
+        filters: list[Filter],
+        fd: bool = False,
     ) -> None:
-        """``receive`` gets identifier, data and host time of each data frame; ``filters``: (identifier, extended)."""
+        """``receive`` gets identifier, data and host time of each data frame that ``filters`` let through."""
         self._settings, self._clock, self._sink, self._receive = settings, clock, sink, receive
-        self._filters = [
-            {"can_id": i, "can_mask": 0x1FFFFFFF if extended else 0x7FF, "extended": extended}
-            for i, extended in filters
-        ]
+        self._filters, self._fd = filters, fd
         self._bus: Any = None
         self._closing = threading.Event()
         self._broken = threading.Event()
@@ -64,7 +62,7 @@ class BusLink:
         """Open the bus and start both threads. Raises LinkOpenError."""
         self._closing.clear()
         self._broken.clear()
-        self._bus = self._make()
+        self._bus = open_bus(self._settings, self._fd, self._filters)
         self._threads = [
             threading.Thread(target=self._read, name="can-read", daemon=True),
             threading.Thread(target=self._write, name="can-write", daemon=True),
@@ -83,7 +81,7 @@ class BusLink:
         for thread in self._threads:
             thread.join(timeout=2.0)
         self._threads = []
-        self._shut(self._bus)
+        close_bus(self._bus)
         self._bus = None
 
     def send(self, messages: list[can.Message]) -> None:
@@ -103,13 +101,13 @@ class BusLink:
                 self._reopen()
                 continue
             try:
-                message = self._bus.recv(_READ_TIMEOUT_S)
+                message = self._bus.recv(READ_TIMEOUT_S)
             except (can.CanError, OSError, ValueError, LookupError, TypeError) as error:
                 if is_garbage(error):
                     self._skip_garbage(error)
                     continue
                 self._note_trouble("rx_errors", error)
-                self._closing.wait(_READ_TIMEOUT_S)
+                self._closing.wait(READ_TIMEOUT_S)
             else:
                 if message is not None:
                     self._take(message)
@@ -141,12 +139,12 @@ class BusLink:
 
     def _reopen(self) -> None:
         """Close what is broken and try to open the bus again, with growing pauses, until it opens or all closes."""
-        self._shut(self._bus)
+        close_bus(self._bus)
         pause_s = self._settings.reopen_first_s
         while not self._closing.wait(pause_s):
             try:
-                self._bus = self._make()
-            except Exception as error:
+                self._bus = open_bus(self._settings, self._fd, self._filters)
+            except LinkOpenError as error:
                 _log.debug("CAN bus still not there: %s", error)
                 pause_s = min(2.0 * pause_s, self._settings.reopen_max_s)
                 continue
@@ -214,49 +212,3 @@ class BusLink:
                 is_fd=message.is_fd,
             )
         )
-
-    def _make(self) -> Any:
-        """Open the bus. Raises LinkOpenError."""
-        s = self._settings
-        options: dict[str, Any] = {"bitrate": s.bitrate} if s.interface != "socketcan" else {}
-        if s.interface == "slcan":
-            options |= {
-                "tty_baudrate": s.tty_baudrate,
-                "sleep_after_open": s.sleep_after_open_s,
-                "timeout": _READ_TIMEOUT_S,
-            }
-        try:
-            bus = can.Bus(
-                channel=s.channel,
-                interface=s.interface,
-                can_filters=self._filters,
-                ignore_config=True,
-                receive_own_messages=False,
-                **options,
-            )
-        except Exception as error:  # python-can lets its back-ends' own exceptions through
-            raise open_error(error, s) from error
-        self._claim(bus)
-        return bus
-
-    def _claim(self, bus: Any) -> None:
-        """slcan: refuse a tty that another process has claimed; two readers would share its bytes."""
-        port = getattr(bus, "serialPortOrig", None)
-        if port is None:
-            return
-        try:
-            port.exclusive = True
-        except OSError as error:
-            self._shut(bus)
-            raise open_error(error, self._settings) from error
-
-    @staticmethod
-    def _shut(bus: Any) -> None:
-        if bus is None:
-            return
-        with contextlib.suppress(Exception):  # an adapter that is gone cannot be told to close
-            bus.shutdown()
-        port = getattr(bus, "serialPortOrig", None)
-        if port is not None:
-            with contextlib.suppress(OSError):
-                port.close()

@@ -27,12 +27,13 @@ from drivers.base import (
     NullSink,
     RequestResult,
 )
-from drivers.charger import messages
+from drivers.charger import contract, messages
 from drivers.charger.bus_link import BusLink
+from drivers.charger.contract import Codec, Contract, FrameError
 from drivers.charger.e2e import Receiver, Scheme, Verdict, next_counter
 from drivers.charger.freshness import Freshness, Liveness
 from drivers.charger.handshake import Handshake
-from drivers.charger.messages import Codec, Contract, ElectricalFrame, FrameError, StatusFrame
+from drivers.charger.messages import ElectricalFrame, StatusFrame
 from drivers.charger.settings import CanSettings
 
 _log = logging.getLogger(__name__)
@@ -52,9 +53,9 @@ class CanCharger:
         self._news = threading.Condition(self._lock)
         self._codecs = {codec.arbitration_id: codec for codec in self._contract.from_charger}
         self._receivers = {i: Receiver(codec.protection) for i, codec in self._codecs.items()}
-        self._status_receiver = self._receivers[self._contract[messages.STATUS].arbitration_id]
+        self._status_receiver = self._receivers[self._contract[contract.STATUS].arbitration_id]
         self._freshness = Freshness(settings.degraded_s, settings.lost_s, settings.recovery_frames)
-        command = self._contract[messages.COMMAND]
+        command = self._contract[contract.COMMAND]
         self._handshake = Handshake(settings.ack_timeout_s, settings.ack_resends, command.cycle_s)
         self._counters: Counter[str] = Counter()
         self._heard_s: dict[int, float] = {}
@@ -66,7 +67,7 @@ class CanCharger:
         self._withdrawals = 0
         self._pose_sent_s: float | None = None
         filters = [(c.arbitration_id, c.is_extended) for c in self._contract.from_charger]
-        self._link = BusLink(settings, clock, sink or NullSink(), self._receive, filters)
+        self._link = BusLink(settings, clock, sink or NullSink(), self._receive, filters, self._contract.is_fd)
 
     # --- life ---------------------------------------------------------------------------------------------------
 
@@ -183,7 +184,7 @@ class CanCharger:
     def _accept(self, codec: Codec, data: bytes, now_s: float) -> None:
         counter = int(codec.decode(data).get("Counter", 0))
         verdict = self._receivers[codec.arbitration_id].check(data, counter)
-        is_status = codec.name == messages.STATUS
+        is_status = codec.name == contract.STATUS
         if not verdict.accepted:
             if is_status and verdict is not Verdict.INITIAL:
                 self._freshness.bad()
@@ -202,14 +203,20 @@ class CanCharger:
     # --- what the robot says ------------------------------------------------------------------------------------
 
     def heartbeat(self, beat: Heartbeat) -> None:
-        """Send one heartbeat, and pose group and request when due. Only the supervisor's tick calls this."""
+        """Send one heartbeat, and request and pose when due. Only the supervisor's tick calls this.
+
+        Raises CommandRejectedError for values that the contract's signals cannot carry.
+        """
         with self._lock:
             now_s = self._clock.now_s()
-            codec = self._contract[messages.HEARTBEAT]
-            frames = [_message(codec, messages.encode_heartbeat(codec, self._count(codec.name), beat))]
-            if self._handshake.due(now_s):
-                frames.append(self._command_frame(now_s))
-            frames.extend(self._pose_frames(now_s))
+            codec = self._contract[contract.HEARTBEAT]
+            try:
+                frames = [_message(codec, messages.encode_heartbeat(codec, self._count(codec.name), beat))]
+                if self._handshake.due(now_s):
+                    frames.append(self._command_frame(now_s))
+                frames.extend(self._pose_frames(now_s))
+            except FrameError as error:
+                raise CommandRejectedError(f"not to be put into a CAN frame: {error}") from error
             self._link.send(frames)
 
     def request(self, request: ChargerRequest, argument: int = 0) -> int:
@@ -241,7 +248,7 @@ class CanCharger:
         with self._lock:
             if self._status is None or self._status.ack_result is not RequestResult.REJECTED:
                 return ""
-            return messages.describe_code(self._contract[messages.STATUS], self._status.code)
+            return messages.describe_code(self._contract[contract.STATUS], self._status.code)
 
     def publish(self, pose: DockPose | None) -> None:
         """Announce a pose with the next heartbeats, or None to withdraw it: a group that says "invalid", then none.
@@ -250,7 +257,7 @@ class CanCharger:
         """
         with self._lock:
             had_pose, self._pose, self._pose_sent_s = self._pose is not None, None, None
-            self._pose_sequence = (self._pose_sequence + 1) % 16
+            self._pose_sequence += 1
             self._withdrawals = 3 if had_pose else 0
             if pose is None:
                 return
@@ -262,18 +269,18 @@ class CanCharger:
             self._pose = pose
 
     def _command_frame(self, now_s: float) -> can.Message:
-        codec = self._contract[messages.COMMAND]
+        codec = self._contract[contract.COMMAND]
         request, sequence, argument = self._handshake.outgoing()
         frame = messages.encode_command(codec, self._count(codec.name), request, sequence, argument)
         self._handshake.sent(now_s)
         return _message(codec, frame)
 
     def _pose_frames(self, now_s: float) -> list[can.Message]:
-        codecs = [self._contract[name] for name in (messages.POSITION, messages.ROTATION, messages.QUALITY)]
+        codecs = [self._contract[name] for name in self._contract.pose_names]
         due = self._pose_sent_s is None or now_s - self._pose_sent_s >= _EARLY * codecs[0].cycle_s
         if not due or (self._pose is None and self._withdrawals == 0):
             return []
-        counter = self._count(messages.POSITION)
+        counter = self._count("pose")
         if self._pose is not None:
             frames = messages.encode_pose(self._contract, counter, self._pose_sequence, self._pose, now_s)
         else:
@@ -302,5 +309,9 @@ _COUNTER_NAMES = {
 
 def _message(codec: Codec, data: bytes) -> can.Message:
     return can.Message(
-        arbitration_id=codec.arbitration_id, is_extended_id=codec.is_extended, is_fd=codec.is_fd, data=data
+        arbitration_id=codec.arbitration_id,
+        is_extended_id=codec.is_extended,
+        is_fd=codec.is_fd,
+        bitrate_switch=codec.is_fd,
+        data=data,
     )

@@ -17,10 +17,12 @@ class CanSettings:
     interface: str = "slcan"
     """Any of python-can's interfaces by name."""
     bitrate: int = 250_000
+    fd_data_bitrate: int = 2_000_000
+    """Bit rate of the data phase, where the DBC's messages are CAN FD."""
     tty_baudrate: int = 115_200
     """slcan only: baud rate of the adapter's tty."""
     dbc: Path | None = None
-    """Another DBC with the same signal names; None is the bundled one."""
+    """Another DBC with the same signal names; None is the bundled one, for ``e2e-p5`` the one for CAN FD."""
     protection: Scheme = Scheme.P11
     robot_address: int | None = None
     """Replaces the lowest byte of the robot's identifiers; None keeps the DBC's."""

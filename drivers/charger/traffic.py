@@ -6,14 +6,13 @@ from collections import deque
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import can
 
-from drivers.base import CanFrame, Clock
-from drivers.charger.bus_errors import open_error
+from drivers.base import CanFrame, Clock, LinkLostError
+from drivers.charger.bus_open import close_bus, open_bus
+from drivers.charger.contract import Codec, Contract, FrameError
 from drivers.charger.e2e import Receiver, Verdict
-from drivers.charger.messages import Codec, Contract, FrameError
 from drivers.charger.settings import CanSettings
 from perception.errors import InputError
 
@@ -115,23 +114,21 @@ def _health(ear: _Ear) -> MessageHealth:
     )
 
 
-def listen_to_bus(settings: CanSettings, clock: Clock, seconds: float | None) -> Iterator[CanFrame | None]:
+def listen_to_bus(settings: CanSettings, clock: Clock, seconds: float | None, fd: bool) -> Iterator[CanFrame | None]:
     """Frames of a live bus, listening only where the interface can; None whenever it was quiet for a moment.
 
-    Raises LinkOpenError. Ends after ``seconds``, or never.
+    Raises LinkOpenError and LinkLostError. Ends after ``seconds``, or never.
     """
-    options: dict[str, Any] = {} if settings.interface == "socketcan" else {"bitrate": settings.bitrate}
-    if settings.interface == "slcan":
-        options |= {"listen_only": True, "sleep_after_open": settings.sleep_after_open_s, "timeout": 0.05}
-    try:
-        bus = can.Bus(interface=settings.interface, channel=settings.channel, ignore_config=True, **options)
-    except Exception as error:  # python-can lets its back-ends' own exceptions through
-        raise open_error(error, settings) from error
+    bus = open_bus(settings, fd, listen_only=True)
     end_s = float("inf") if seconds is None else clock.now_s() + seconds
-    with bus:
+    try:
         while clock.now_s() < end_s:
             message = bus.recv(0.1)
             yield None if message is None else _frame(message, clock.now_s())
+    except (can.CanError, OSError) as error:
+        raise LinkLostError(f"the CAN bus {settings.channel} is gone: {' '.join(str(error).split())}") from error
+    finally:
+        close_bus(bus)
 
 
 def listen_to_file(path: Path) -> Iterator[CanFrame]:

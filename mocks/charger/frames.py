@@ -29,7 +29,8 @@ class Frames:
     """The contract as the charger holds it: names to frames and back."""
 
     def __init__(self, dbc: Path | None, scheme: str) -> None:
-        path = dbc or Path(str(importlib.resources.files("config") / "dbc" / "portdock.dbc"))
+        bundled = "portdock_fd.dbc" if scheme == "e2e-p5" else "portdock.dbc"
+        path = dbc or Path(str(importlib.resources.files("config") / "dbc" / bundled))
         self._path, self._scheme = path, scheme
         self._database: Any = cantools.database.load_file(path)
         self._counters: dict[str, int] = {}

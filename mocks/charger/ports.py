@@ -13,8 +13,6 @@ import can
 from mocks.charger.frames import BusFrame
 from mocks.charger.lawicel import Lawicel
 
-_POLL_S = 0.005
-
 
 class BusPort(Protocol):
     """One connection to the bus."""
@@ -96,7 +94,7 @@ class PythonCanPort:
     def __init__(self, interface: str, channel: str, bit_rate: int, fd: bool = False) -> None:
         options: dict[str, Any] = {} if interface == "socketcan" else {"bitrate": bit_rate}
         if fd:
-            options["fd"] = True
+            options |= {"protocol": can.CanProtocol.CAN_FD} if interface == "virtual" else {"fd": True}
         self._bus = can.Bus(interface=interface, channel=channel, ignore_config=True, **options)
 
     def descriptor(self) -> int | None:

@@ -22,8 +22,8 @@ from drivers.base import (
     Proximity,
     RequestResult,
 )
+from drivers.charger.contract import bundled_dbc
 from drivers.charger.e2e import Scheme
-from drivers.charger.messages import bundled_dbc
 from mocks.world.blackboard import Blackboard, PlugState
 from perception.geometry import Pose
 from tests.contract.charger_bench import MATED, PATIENT, QUICK, Bench, MockProcess, drain, tap

@@ -8,14 +8,14 @@ from typing import Any
 
 import cantools
 import pytest
-from charger_frames import FRAMES
 from typer.testing import CliRunner
 
 from controller.cli.charger import app
 from controller.cli.charger_contract import describe
 from drivers.base import ChargerRequest, ChargerState, Pilot, PlugLock, Proximity
-from drivers.charger.messages import CHARGER_SIGNALS, ROBOT_SIGNALS, bundled_dbc
+from drivers.charger.contract import BEAT_SIGNALS, CHARGER_SIGNALS, THREE_FRAMES, bundled_dbc
 from perception.errors import InputError
+from tests.unit.charger_frames import FRAMES
 
 DATABASE: Any = cantools.database.load_file(bundled_dbc(), strict=True)
 
@@ -51,7 +51,12 @@ def test_signals_lie_where_the_contract_puts_them(name: str) -> None:
 
 
 def test_the_file_has_these_messages_and_no_others() -> None:
-    assert {m.name for m in DATABASE.messages} == set(LAYOUT) == set(FRAMES) == set(ROBOT_SIGNALS | CHARGER_SIGNALS)
+    assert (
+        {m.name for m in DATABASE.messages}
+        == set(LAYOUT)
+        == set(FRAMES)
+        == set(BEAT_SIGNALS | THREE_FRAMES | CHARGER_SIGNALS)
+    )
 
 
 @pytest.mark.parametrize("name", FRAMES)

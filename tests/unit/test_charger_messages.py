@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from charger_frames import FRAMES
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -23,10 +22,11 @@ from drivers.base import (
     RequestResult,
 )
 from drivers.charger import messages
+from drivers.charger.contract import Contract, FrameError, bundled_dbc
 from drivers.charger.e2e import Scheme
-from drivers.charger.messages import Contract, FrameError, bundled_dbc
 from perception.errors import InputError
 from perception.geometry import Pose
+from tests.unit.charger_frames import FRAMES
 
 CONTRACT = Contract()
 ROTVEC = (1.2345, -2.0001, 0.0001)
@@ -59,7 +59,7 @@ def test_a_command_is_the_literal_frame() -> None:
 
 def test_a_pose_is_the_three_literal_frames() -> None:
     frames = messages.encode_pose(CONTRACT, 3, 16 + 7, _pose(), now_s=10.38)
-    assert frames == tuple(_literal(name) for name in ("RC_DockPos", "RC_DockRot", "RC_DockQuality"))
+    assert frames == [_literal(name) for name in ("RC_DockPos", "RC_DockRot", "RC_DockQuality")]
 
 
 def test_a_withdrawn_pose_says_so_in_every_field() -> None:
@@ -211,7 +211,7 @@ def test_a_counter_is_asked_for_only_where_it_is_used(tmp_path: Path) -> None:
 
 def test_the_16_bit_profile_asks_for_its_own_header() -> None:
     with pytest.raises(InputError, match="CRC16"):
-        Contract(None, Scheme.P5)
+        Contract(bundled_dbc(), Scheme.P5)
 
 
 @pytest.mark.parametrize("text", ["", "not a dbc {", 'VERSION ""\nBO_ 1 A: 8 X\n SG_ a : 0|99@1+ (1,0) [0|1] "" X\n'])

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import pytest
-from charger_frames import FRAMES
 from hypothesis import given
 from hypothesis import strategies as st
 
 from mocks.charger.checksum import fits
 from mocks.charger.frames import BusFrame, Frames
 from mocks.charger.lawicel import Lawicel
+from tests.unit.charger_frames import FRAMES
 
 OPENING = b"C\rS5\r\rO\r"
 

@@ -9,8 +9,8 @@ import pytest
 from typer.testing import CliRunner
 
 from controller.cli.charger import app
+from drivers.charger.contract import Contract
 from drivers.charger.e2e import next_counter
-from drivers.charger.messages import Contract
 from drivers.charger.traffic import CanTraffic, listen_to_file
 from perception.errors import InputError
 
