@@ -11,6 +11,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable
+from pathlib import Path
 
 from drivers.arm.settings import UrSettings
 from drivers.arm.ur import UrArm
@@ -177,4 +178,28 @@ class Rig:
         self.mock.close()
 
 
-__all__ = ["Kicker", "MockController", "Rig", "Sink", "own_address", "settings", "until"]
+_HOST_PROCESS = """
+import sys, time
+import numpy as np
+from tests.arm_rig import Kicker, settings
+from drivers.arm.ur import UrArm
+
+arm = UrArm(settings(sys.argv[1]))
+arm.open()
+kicker = Kicker(arm)
+arm.move_velocity(np.array([0.0, 0.0, float(sys.argv[2]), 0.0, 0.0, 0.0]), 0.5)
+print(arm._links.worker.pid, flush=True)
+time.sleep(60)
+"""
+
+
+def host_process(mock: MockController, velocity_m_s: float = 0.02) -> tuple[subprocess.Popen[str], int]:
+    """Another process that drives the arm at a steady velocity, and its control worker's process id."""
+    environment = os.environ | {"PYTHONPATH": str(Path(__file__).parents[1])}
+    command = [sys.executable, "-c", _HOST_PROCESS, mock.host, str(velocity_m_s)]
+    host = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=environment)
+    assert host.stdout is not None
+    return host, int(host.stdout.readline())
+
+
+__all__ = ["Kicker", "MockController", "Rig", "Sink", "host_process", "own_address", "settings", "until"]

@@ -14,7 +14,7 @@ from multiprocessing.connection import Connection
 from typing import Any
 
 from drivers.arm import messages as m
-from drivers.arm.control_loop import ControlLoop, LinkDeadError
+from drivers.arm.control_loop import ControlLoop
 from drivers.arm.worker_link import Link
 
 RTDE_PORT = 30004
@@ -84,8 +84,8 @@ def serve(connection: Connection) -> None:
         loop.run()
     except EOFError:  # the parent is gone
         loop.leave()
-    except LinkDeadError as error:
-        link.send(m.Ended(str(error)))
+    except Exception as error:  # a lost link, and whatever the library raises when it notices that
+        link.send(m.Ended(str(error) or type(error).__name__))
 
 
 def main() -> None:

@@ -9,7 +9,6 @@ import time
 
 import numpy as np
 import pytest
-from arm_rig import COG_M, PAYLOAD_KG, T_FLANGE_TCP, Rig, until
 
 from drivers.arm.collision import Box
 from drivers.arm.errors import (
@@ -21,6 +20,7 @@ from drivers.arm.errors import (
 )
 from drivers.base import Compliance, RobotMode, SafetyMode
 from perception.geometry import Pose
+from tests.arm_rig import COG_M, PAYLOAD_KG, T_FLANGE_TCP, Rig, until
 
 
 @pytest.fixture(scope="module")
@@ -62,7 +62,7 @@ def test_state_is_what_the_controller_does(rig) -> None:
 
 
 def test_payload_and_tcp_are_the_configured_ones(rig) -> None:
-    mass, cog = rig.arm._link().payload()
+    mass, cog = rig.arm._links.telemetry.payload()
     assert mass == pytest.approx(PAYLOAD_KG)
     assert cog == pytest.approx(COG_M)
 

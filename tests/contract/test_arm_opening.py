@@ -7,7 +7,6 @@ import threading
 import time
 
 import pytest
-from arm_rig import MockController, own_address, settings, until
 
 from drivers.arm.dashboard import Dashboard
 from drivers.arm.errors import (
@@ -24,6 +23,7 @@ from drivers.arm.errors import (
 )
 from drivers.arm.ur import UrArm
 from drivers.base import LinkLostError, LinkOpenError
+from tests.arm_rig import MockController, own_address, settings, until
 
 
 @pytest.fixture(scope="module")

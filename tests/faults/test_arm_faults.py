@@ -8,14 +8,11 @@ from __future__ import annotations
 
 import os
 import signal
-import subprocess
-import sys
 import time
 from pathlib import Path
 
 import numpy as np
 import pytest
-from arm_rig import Kicker, MockController, Rig, settings, until
 
 from drivers.arm.dashboard import Dashboard
 from drivers.arm.errors import (
@@ -25,8 +22,8 @@ from drivers.arm.errors import (
     SafetyStopError,
     StateLinkLostError,
 )
-from drivers.arm.ur import UrArm
 from drivers.base import Compliance, LinkLostError, RobotMode, SafetyMode
+from tests.arm_rig import Rig, host_process, until
 
 UP = np.array([0.0, 0.0, 0.02, 0.0, 0.0, 0.0])
 
@@ -72,8 +69,7 @@ def set_moving(rig: Rig) -> int:
 
 
 def worker_pid(rig: Rig) -> int:
-    assert rig.arm._worker is not None
-    return rig.arm._worker.pid
+    return rig.arm._links.worker.pid
 
 
 def works_again(rig: Rig) -> None:
@@ -160,7 +156,7 @@ def test_a_robot_that_vanishes_is_reported_and_no_call_hangs(rig_to_kill) -> Non
     rig.mock.kill()
     until(lambda: not rig.arm.health().up, "the loss is reported")
     assert (rig.arm.motion().motion_id, rig.arm.motion().failed) == (motion, True)
-    until(lambda: rig.arm._worker.lost is not None, "the control link is lost as well")
+    until(lambda: rig.arm._links.worker.lost is not None, "the control link is lost as well")
     begun = time.monotonic()
     for call in (rig.arm.state, rig.arm.kick_watchdog, rig.arm.stop, rig.arm.zero_force_sensor):
         with pytest.raises(LinkLostError):
@@ -246,30 +242,12 @@ def test_a_speed_slider_at_zero_is_no_fault_but_said(rig) -> None:
 
 # --- this process ----------------------------------------------------------------------------------------------------
 
-HOST_PROCESS = """
-import sys, time
-import numpy as np
-from arm_rig import Kicker, settings
-from drivers.arm.ur import UrArm
-
-arm = UrArm(settings(sys.argv[1]))
-arm.open()
-kicker = Kicker(arm)
-arm.move_velocity(np.array([0.0, 0.0, 0.02, 0.0, 0.0, 0.0]), 0.5)
-print(arm._worker.pid, flush=True)
-time.sleep(60)
-"""
-
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
 def test_a_host_that_dies_or_hangs_leaves_an_arm_that_stands_still(rig, number) -> None:
     rig.arm.close()
-    path = os.pathsep.join([str(Path(__file__).parents[1]), str(Path(__file__).parents[2])])
-    command = [sys.executable, "-c", HOST_PROCESS, rig.mock.host]
-    host = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=os.environ | {"PYTHONPATH": path})
+    host, pid = host_process(rig.mock)
     try:
-        assert host.stdout is not None
-        pid = int(host.stdout.readline())
         until(lambda: not rig.mock.still(), "the arm moves")
         host.send_signal(number)
         rig.mock.until_still()
@@ -277,43 +255,4 @@ def test_a_host_that_dies_or_hangs_leaves_an_arm_that_stands_still(rig, number) 
             until(lambda: gone(pid), "its worker has ended too")
     finally:
         host.kill()
-        host.wait()
-        host.stdout.close()
-
-
-# --- the long campaign -----------------------------------------------------------------------------------------------
-
-
-@pytest.mark.long
-@pytest.mark.timeout(3600)
-def test_two_hundred_kills_at_random_moments_always_leave_the_arm_still() -> None:
-    """Worker, or the controller's whole network side, at any phase of opening, moving, complying and stopping."""
-    rng = np.random.default_rng(6)
-    mock = MockController()
-    try:
-        for _ in range(200):
-            _one_kill(mock, rng)
-    finally:
-        mock.close()
-
-
-def _one_kill(mock: MockController, rng: np.random.Generator) -> None:
-    arm = UrArm(settings(mock.host))
-    arm.open()
-    kicker = Kicker(arm)
-    direction = 0.02 if mock.state()["tcp"][2] < 0.5 else -0.02
-    try:
-        arm.move_velocity(np.array([0.0, 0.0, direction, 0.0, 0.0, 0.0]), 0.5)
-        time.sleep(float(rng.uniform(0.0, 0.4)))
-        match rng.integers(3):
-            case 0:
-                os.kill(arm._worker.pid, signal.SIGKILL)
-            case 1:
-                os.kill(arm._worker.pid, signal.SIGSTOP)
-            case 2:
-                mock.do("drop", link="rtde")
-        until(lambda: not arm.health().up, "the loss is reported")
-        mock.until_still()
-    finally:
-        kicker.close()
-        arm.close()
+        host.communicate()

@@ -7,12 +7,12 @@ import threading
 from contextlib import contextmanager
 
 import pytest
-from arm_rig import own_address
 
 from drivers.arm.dashboard import Dashboard
 from drivers.arm.errors import ArmAbsentError
 from drivers.arm.rtde_probe import controller_version
 from drivers.base import LinkLostError, ProtocolError
+from tests.arm_rig import own_address
 
 BANNER = b"Connected: Universal Robots Dashboard Server\n"
 

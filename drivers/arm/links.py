@@ -1,0 +1,192 @@
+"""An arm's two links as one thing: state link and control worker opened, checked, lost, restarted and closed together.
+
+Also ends the controller's program over the dashboard, the third way to the robot, when a safety stop begins or the
+worker is lost: a paused program could be resumed with its old motion, and a script without its client has no purpose.
+"""
+
+from __future__ import annotations
+
+import logging
+import threading
+
+import numpy as np
+
+from drivers.arm import messages as m
+from drivers.arm.dashboard import Dashboard
+from drivers.arm.errors import ControlLinkLostError, ReadBackError
+from drivers.arm.opening import check_robot, start_error
+from drivers.arm.settings import UrSettings
+from drivers.arm.telemetry import Telemetry
+from drivers.arm.worker_client import WorkerClient
+from drivers.base import (
+    ArmState,
+    ByteSink,
+    Clock,
+    DriverError,
+    LinkHealth,
+    LinkLostError,
+    ProtocolError,
+    SafetyMode,
+)
+from perception.geometry import Pose
+
+log = logging.getLogger(__name__)
+
+SAFE = (SafetyMode.NORMAL, SafetyMode.REDUCED)
+SAME_TCP_M, SAME_TCP_RAD = 1e-5, 1e-4
+SAME_PAYLOAD_KG, SAME_COG_M = 0.01, 0.001
+PAYLOAD_SHOWN_S = 1.0
+"""Within this the controller's state must show the payload that was set."""
+
+
+class Links:
+    """Both links of one arm."""
+
+    def __init__(self, settings: UrSettings, sink: ByteSink, clock: Clock) -> None:
+        self._settings = settings
+        self._sink = sink
+        self._clock = clock
+        self._telemetry: Telemetry | None = None
+        self._worker: WorkerClient | None = None
+        self._ender: threading.Thread | None = None
+        self._safe = True
+
+    # --- life --------------------------------------------------------------------------------------------------------
+
+    def open(self) -> None:
+        """Check the robot, start both links, set TCP and payload and read them back. Raises LinkOpenError."""
+        check_robot(self._settings, self._clock)
+        try:
+            if not self.fresh:
+                self._close_telemetry()
+                self._open_telemetry()
+            self._open_worker()
+            self._check_payload()
+        except BaseException:
+            self._close_worker()
+            raise
+
+    def restart(self) -> None:
+        """A new worker and script; the state link stays if it is sound, and also if this fails."""
+        self._close_worker()
+        if self._ender is not None:
+            self._ender.join()
+        self._end_program_quietly()
+        self.open()
+
+    def close(self) -> None:
+        """End the script and both links. Idempotent."""
+        self._close_worker()
+        self._close_telemetry()
+
+    def _open_telemetry(self) -> None:
+        s = self._settings
+        self._safe = True
+        self._telemetry = Telemetry(s.host, s.frequency_hz, s.T_flange_tcp, self._sink, self._clock, self._on_state)
+
+    def _close_telemetry(self) -> None:
+        telemetry, self._telemetry = self._telemetry, None
+        if telemetry is not None:
+            telemetry.close()
+
+    def _open_worker(self) -> None:
+        s = self._settings
+        self._worker = WorkerClient(lambda reason: self._end_program_quietly())
+        tcp = tuple(s.T_flange_tcp.vector.tolist())
+        start = m.Start(
+            s.host, s.frequency_hz, s.upper_registers, s.watchdog_hz, tcp, s.payload_kg, s.centre_of_gravity_m
+        )
+        answer = self._worker.start(start, s.start_timeout_s)
+        if isinstance(answer, m.StartFailed):
+            raise start_error(answer.reason)
+        shown = Pose.from_vector(answer.tcp)
+        if shown.distance_to(s.T_flange_tcp) > SAME_TCP_M or shown.angle_to(s.T_flange_tcp) > SAME_TCP_RAD:
+            raise ReadBackError("the controller reports another TCP than the one that was set")
+
+    def _close_worker(self) -> None:
+        worker, self._worker = self._worker, None
+        if worker is not None:
+            worker.quit()
+
+    def _check_payload(self) -> None:
+        s = self._settings
+        deadline = self._clock.now_s() + PAYLOAD_SHOWN_S
+        while True:
+            mass, cog = self.telemetry.payload()
+            if abs(mass - s.payload_kg) <= SAME_PAYLOAD_KG and np.allclose(cog, s.centre_of_gravity_m, atol=SAME_COG_M):
+                return
+            if self._clock.now_s() > deadline:
+                raise ReadBackError(
+                    f"the controller reckons with {mass:.2f} kg at {np.round(cog, 3).tolist()} m, "
+                    f"not {s.payload_kg:.2f} kg at {list(s.centre_of_gravity_m)} m"
+                )
+            self._clock.sleep(0.01)
+
+    # --- the two links -----------------------------------------------------------------------------------------------
+
+    @property
+    def telemetry(self) -> Telemetry:
+        """The state link. Raises LinkLostError if it is not open."""
+        if self._telemetry is None:
+            raise LinkLostError("the arm's link is not open")
+        return self._telemetry
+
+    @property
+    def worker(self) -> WorkerClient:
+        """The control worker. Raises ControlLinkLostError if there is none."""
+        if self._worker is None:
+            raise ControlLinkLostError("the arm's control link is not open")
+        return self._worker
+
+    @property
+    def fresh(self) -> bool:
+        """Whether state is coming in."""
+        return self._telemetry is not None and self._telemetry.is_fresh(self._settings.freshness_s)
+
+    @property
+    def newest(self) -> ArmState | None:
+        """The newest sample, however old."""
+        return None if self._telemetry is None else self._telemetry.newest()
+
+    @property
+    def lost(self) -> str | None:
+        """Why the arm cannot be driven, or None."""
+        if self._worker is None:
+            return "the control link is not open"
+        if self._worker.lost is not None:
+            return f"control link: {self._worker.lost}"
+        return None if self.fresh else "state link: no fresh state"
+
+    def health(self) -> LinkHealth:
+        """Of both links: up only if state is fresh and the control link lives."""
+        if self._telemetry is None:
+            return LinkHealth(False, None, detail="not open")
+        seen = self._telemetry.health(self._settings.freshness_s)
+        return LinkHealth(self.lost is None, seen.last_rx_s, seen.counters, self.lost or "")
+
+    # --- ending the program ------------------------------------------------------------------------------------------
+
+    def end_program(self) -> None:
+        """Stop the program, and with it the arm, over the dashboard. Raises ControlLinkLostError if it is not there."""
+        try:
+            with Dashboard(self._settings.host, self._settings.connect_timeout_s) as dashboard:
+                dashboard.stop()
+        except ProtocolError as error:  # such as no program to stop
+            log.warning("%s", error)
+        except LinkLostError as error:
+            raise ControlLinkLostError(f"the arm cannot be stopped over the network: {error}") from error
+
+    def _end_program_quietly(self) -> None:
+        try:
+            self.end_program()
+        except DriverError as error:
+            log.error("%s", error)
+
+    def _on_state(self, state: ArmState) -> None:
+        """Reader thread: when a safety stop begins, end the program, so that no release lets the old motion go on."""
+        safe = state.safety in SAFE
+        if self._safe and not safe:
+            log.warning("safety mode %s: the program is ended", state.safety.name)
+            self._ender = threading.Thread(target=self._end_program_quietly, name="arm-end-program", daemon=True)
+            self._ender.start()
+        self._safe = safe
