@@ -176,7 +176,7 @@ def _seen(scene: Scene, points: Array, cameras: Array, normal: Array) -> Mask:
 
 def _loss(scene: Scene, sensor: SensorModel, points: Array, face: Ints, cosine: Array) -> Array:
     """Probability that a ray gives no point: material, grazing incidence, patches, glare."""
-    base = _material_loss(scene)[face] * sensor.dropout
+    base = _material_loss(scene, face) * sensor.dropout
     grazing = np.clip((0.30 - cosine) / 0.25, 0.0, 1.0) ** 2 * sensor.dropout
     hollow = _patch_loss(scene, sensor, points, face)
     glare = sensor.glare * (np.linalg.norm(points[:, :2], axis=1) < sensor.glare_radius_m)
@@ -184,19 +184,22 @@ def _loss(scene: Scene, sensor: SensorModel, points: Array, face: Ints, cosine: 
     return 1.0 - kept
 
 
-def _material_loss(scene: Scene) -> Array:
-    """(F + 1,) share of returns lost on each face: black plastic and bright pins lose most. The last is for no face."""
-    by_kind = np.array([0.06, 0.03, 0.03, 0.04, 0.05, 0.05, 0.05])
-    loss = by_kind[scene.kind]
-    loss[scene.part == PARTS.index("pin")] = 0.15
-    return np.append(loss, 0.0)
+_KIND_LOSS = np.array([0.06, 0.03, 0.03, 0.04, 0.05, 0.05, 0.05])
+"""Share of returns that each of ``KINDS`` loses, met squarely."""
+_PIN_LOSS = 0.15
+
+
+def _material_loss(scene: Scene, face: Ints) -> Array:
+    """(N,) share of returns lost by material: black plastic and bright pins lose most. Any value where nothing is hit."""
+    loss: Array = np.where(scene.part[face] == PARTS.index("pin"), _PIN_LOSS, _KIND_LOSS[scene.kind[face]])
+    return loss
 
 
 def _patch_loss(scene: Scene, sensor: SensorModel, points: Array, face: Ints) -> Array:
     """(N,) share of returns lost where the patch field is high: sooner on the black plastic of the inlet."""
     if sensor.patchiness <= 0:
         return np.zeros(len(points))
-    on_port = np.append(scene.kind == KINDS.index("port"), False)[face]
+    on_port = scene.kind[face] == KINDS.index("port")
     threshold = np.where(on_port, 2.6, 3.1) - 1.2 * sensor.patchiness
     lost: Array = 0.95 / (1.0 + np.exp(-12.0 * (scene.patches.level(points) - threshold)))
     return lost
