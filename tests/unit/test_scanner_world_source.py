@@ -47,18 +47,19 @@ def test_a_profile_waits_for_the_arms_pose_at_its_own_time(tmp_path: Path) -> No
 
 
 def test_the_inlet_is_seen_where_it_truly_is(tmp_path: Path) -> None:
-    """Seen from 0.29 m and from 0.24 m, the pins' tips are that much nearer and otherwise the same."""
+    """Squarely and rolled half a turn, from 0.29 m and 0.25 m: the same face at the same place of the port frame."""
     optics, board = source(tmp_path, spec(profile_noise_m=0.0))
-    board.put_arm(0.0, flange(FACING).matrix)
-    board.put_arm(1.0, flange(FACING.moved([0.0, 0.0, 0.05])).matrix)  # straight at the port
-    nearest = []
-    for number in (0, 1):
+    views = [FACING, FACING.moved([0.0, 0.0, 0.04]) @ Pose.from_rotvec([0.0, 0.0, np.pi])]
+    heights = []
+    for number, T_port_scanner in enumerate(views):
+        board.put_arm(float(number), flange(T_port_scanner).matrix)
         line = optics.line(number, float(number))
         assert line is not None
-        middle = line[np.abs(line[:, 0]) < 0.015]
-        nearest.append(float(np.quantile(middle[:, 1], 0.2)))
-    assert nearest[0] == pytest.approx(0.29, abs=0.03)
-    assert nearest[0] - nearest[1] == pytest.approx(0.05, abs=0.001)
+        points = T_port_scanner.apply(np.stack([line[:, 0], np.zeros(len(line)), line[:, 1]], axis=1))
+        assert np.abs(points[:, 1]).max() < 1e-9
+        heights.append(float(np.median(points[np.abs(points[:, 0]) < 0.002, 2])))
+    assert heights[0] == pytest.approx(heights[1], abs=0.0003)
+    assert abs(heights[0]) < 0.06
 
 
 def test_a_plain_panel_has_no_depth(tmp_path: Path) -> None:
