@@ -190,7 +190,7 @@ _PIN_LOSS = 0.15
 
 
 def _material_loss(scene: Scene, face: Ints) -> Array:
-    """(N,) share of returns lost by material: black plastic and bright pins lose most. Any value where nothing is hit."""
+    """(N,) share of returns lost by material: black plastic and bright pins lose most. Arbitrary without a hit."""
     loss: Array = np.where(scene.part[face] == PARTS.index("pin"), _PIN_LOSS, _KIND_LOSS[scene.kind[face]])
     return loss
 
