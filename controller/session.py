@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field, replace
 from io import BytesIO
 from pathlib import Path
@@ -112,6 +112,8 @@ def run_session(
         except PortdockError:
             recorder.close()
             recorder.path.unlink(missing_ok=True)  # nothing has happened yet that evidence could be of
+            with suppress(OSError):
+                folder.rmdir()
             raise
         _attach_context(recorder, config, model, dict(notes))
         supervisor = Supervisor(Sources(devices.arm, devices.charger, devices.scanner), clock, wall)
