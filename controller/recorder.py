@@ -12,13 +12,12 @@ from __future__ import annotations
 import logging
 import threading
 import time
-from collections import Counter
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
 from controller import recording_messages as messages
 from controller import recording_schemas as schemas
-from controller.recording_backlog import Backlog
+from controller.recording_backlog import Backlog, Tally
 from controller.recording_errors import RecordingError, RecordingTargetError
 from controller.recording_file import RecordingFile
 from controller.recording_records import encode_arm_state, encode_can_frame, encode_scanner_bytes
@@ -77,8 +76,8 @@ class Recorder:
         except OSError as error:
             raise RecordingTargetError(f"cannot write the recording {path}: {error.strerror}") from error
         self._backlog: Backlog[Job] = Backlog(backlog_bytes)
-        self._dropped: Counter[schemas.Topic] = Counter()
-        self._drops_lock = threading.Lock()
+        self._order = threading.Lock()
+        self._tally = Tally()
         self._failure: RecordingError | None = None
         self._failure_raised = False
         self._closing = False
@@ -177,8 +176,7 @@ class Recorder:
     @property
     def dropped(self) -> int:
         """Samples dropped and not yet named in the recording."""
-        with self._drops_lock:
-            return sum(self._dropped.values())
+        return self._tally.lost
 
     def flush(self, timeout_s: float = 5.0) -> None:
         """Return when everything handed over so far is on the disk.
@@ -217,25 +215,28 @@ class Recorder:
     def _sample(self, topic: schemas.Topic, size: int, time_ns: int, encode: Callable[[], bytes]) -> None:
         if self._failure is not None or self._closing:
             return
-        if not self._backlog.offer(lambda file: self._append(file, topic, time_ns, encode), size):
-            self._count_drop(topic)
+        with self._order:
+            number = self._tally.next_number(topic.name)
+            kept = self._backlog.offer(lambda file: self._append(file, topic, time_ns, number, encode), size)
+        if not kept:
+            self._tally.lose(topic.name)
 
     def _event(self, topic: schemas.Topic, time_s: float, encode: Callable[[], bytes]) -> None:
         time_ns = to_ns(time_s)
-        self._submit(lambda file: self._append(file, topic, time_ns, encode))
+        with self._order:
+            number = self._tally.next_number(topic.name)
+            self._submit(lambda file: self._append(file, topic, time_ns, number, encode))
 
-    def _append(self, file: RecordingFile, topic: schemas.Topic, time_ns: int, encode: Callable[[], bytes]) -> None:
+    def _append(
+        self, file: RecordingFile, topic: schemas.Topic, time_ns: int, number: int, encode: Callable[[], bytes]
+    ) -> None:
         try:
             data = encode()
         except Exception as error:  # one value that cannot be written must not cost the rest of the evidence
             logger.warning("a message of %s cannot be recorded: %r", topic.name, error)
-            self._count_drop(topic)
+            self._tally.lose(topic.name)
             return
-        file.message(topic, time_ns, data)
-
-    def _count_drop(self, topic: schemas.Topic) -> None:
-        with self._drops_lock:
-            self._dropped[topic] += 1
+        file.message(topic, time_ns, number, data)
 
     def _submit(self, job: Job, *, urgent: bool = False) -> None:
         if self._failure is None and not self._closing:
@@ -284,12 +285,10 @@ class Recorder:
                 return
 
     def _name_drops(self) -> None:
-        with self._drops_lock:
-            dropped, self._dropped = self._dropped, Counter()
-        for topic, count in dropped.items():
-            now_s = self._clock.now_s()
-            self._file.skip(topic, count)
-            self._file.message(schemas.DROPS, to_ns(now_s), messages.encode_drops(Drops(now_s, topic.name, count)))
+        for topic, count in self._tally.take_lost().items():
+            drops = Drops(self._clock.now_s(), topic, count)
+            number = self._tally.next_number(schemas.DROPS.name)
+            self._file.message(schemas.DROPS, to_ns(drops.time_s), number, messages.encode_drops(drops))
 
     def _fail(self, failure: RecordingError) -> None:
         logger.error("%s", failure.cause)

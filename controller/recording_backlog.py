@@ -1,9 +1,9 @@
-"""What waits to be written: a queue bounded in bytes, that never makes the one who hands something over wait."""
+"""What waits to be written: a queue bounded in bytes that never makes a producer wait, and a tally of what it lost."""
 
 from __future__ import annotations
 
 import threading
-from collections import deque
+from collections import Counter, deque
 from typing import Generic, TypeVar
 
 T = TypeVar("T")
@@ -45,3 +45,36 @@ class Backlog(Generic[T]):
         with self._lock:
             items, self._items, self._bytes = self._items, deque(), 0
         return items
+
+
+class Tally:
+    """Numbers the messages of each topic, also the lost ones, so that a gap in the numbers shows where; thread-safe."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._numbers: Counter[str] = Counter()
+        self._lost: Counter[str] = Counter()
+
+    def next_number(self, topic: str) -> int:
+        """0, 1, 2, ... for each topic."""
+        with self._lock:
+            number = self._numbers[topic]
+            self._numbers[topic] = number + 1
+        return number
+
+    def lose(self, topic: str) -> None:
+        """One more message of this topic is lost."""
+        with self._lock:
+            self._lost[topic] += 1
+
+    @property
+    def lost(self) -> int:
+        """Lost messages that nobody has taken note of."""
+        with self._lock:
+            return self._lost.total()
+
+    def take_lost(self) -> Counter[str]:
+        """Lost messages by topic since the last call."""
+        with self._lock:
+            lost, self._lost = self._lost, Counter()
+        return lost

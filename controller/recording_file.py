@@ -30,14 +30,11 @@ class RecordingFile:
         self._writer = Writer(self._stream, chunk_size=chunk_bytes, compression=CompressionType.ZSTD)  # type: ignore[arg-type]
         self._writer.start(profile="", library=LIBRARY)
         self._channels = {topic.name: self._register(topic) for topic in TOPICS}
-        self._sequences = dict.fromkeys(self._channels, 0)
         self._pending = 0
         self.metadata("format", {"version": FORMAT_VERSION, "wall_offset_ns": str(wall_offset_ns)})
 
-    def message(self, topic: Topic, time_ns: int, data: bytes) -> None:
-        """Append one message with the host's monotonic time ``time_ns``."""
-        sequence = self._sequences[topic.name]
-        self._sequences[topic.name] = sequence + 1
+    def message(self, topic: Topic, time_ns: int, sequence: int, data: bytes) -> None:
+        """Append one message with the host's monotonic time ``time_ns`` and its number within the topic."""
         self._pending += 1
         self._writer.add_message(
             channel_id=self._channels[topic.name],
@@ -46,10 +43,6 @@ class RecordingFile:
             publish_time=max(0, time_ns),
             sequence=sequence & 0xFFFFFFFF,
         )
-
-    def skip(self, topic: Topic, count: int) -> None:
-        """Leave a gap of ``count`` in the topic's sequence numbers: messages that were dropped."""
-        self._sequences[topic.name] += count
 
     def attachment(self, name: str, data: bytes, media_type: str, time_ns: int) -> None:
         """Put a file into the recording."""

@@ -54,7 +54,7 @@ def arm_state(time_s: float, T_base_tcp: Pose = T_BASE_PORT, force_n: float = 0.
         mode=RobotMode.RUNNING,
         safety=SafetyMode.NORMAL,
         moving=True,
-        program_running=True,
+        program_running=False,
         speed_scaling=0.5,
     )
 

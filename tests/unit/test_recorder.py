@@ -87,12 +87,10 @@ def test_poses_and_forces_come_back_to_the_last_bit(tmp_path: Path) -> None:
     assert np.array_equal(got.T_base_tcp.matrix, sent.T_base_tcp.matrix)
     assert np.array_equal(got.T_base_flange.matrix, sent.T_base_flange.matrix)
     assert np.array_equal(got.wrench, sent.wrench)
-    assert (got.time_s, got.device_time_s, got.mode, got.safety) == (
-        sent.time_s,
-        sent.device_time_s,
-        sent.mode,
-        sent.safety,
-    )
+    assert np.array_equal(got.joints, sent.joints)
+    assert np.array_equal(got.tcp_speed, sent.tcp_speed)
+    plain = ("time_s", "device_time_s", "mode", "safety", "moving", "program_running", "speed_scaling")
+    assert [getattr(got, name) for name in plain] == [getattr(sent, name) for name in plain]
     located = recording.estimates()[0].estimate
     assert np.array_equal(located.T_ref_port.matrix, estimate().T_ref_port.matrix)
     assert located.reasons == estimate().reasons
@@ -175,7 +173,7 @@ def test_a_hanging_disk_blocks_no_caller_and_costs_only_named_samples(
         recorder.arm_command(ArmCommandRecord(1.0, "stopL", (float(k),), "accepted"))
     assert recorder.dropped == 40
     disk.open.set()
-    wait_until(lambda: recorder.dropped == 0)
+    recorder.flush(timeout_s=30.0)
     recorder.scanner_bytes("rx", b"after the gap", 2)
     recorder.close()
     recording = read_recording(tmp_path / "m.mcap")

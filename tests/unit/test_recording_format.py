@@ -43,14 +43,14 @@ def test_can_frame_is_a_protobuf_message() -> None:
 
 
 def test_descriptor_is_a_file_descriptor_set() -> None:
-    layout = Layout("p.M", (Field("a", "double"), Field("b", "bytes")))
+    layout = Layout("p.M", (Field("a", "doubles", 3), Field("b", "bytes")))
     assert layout.descriptor() == bytes.fromhex(
         "0A 31"  # FileDescriptorSet.file, 49 bytes
         "0A 09 702E4D2E70726F746F"  # name "p.M.proto"
         "12 01 70"  # package "p"
         "22 19"  # message_type, 25 bytes
         "0A 01 4D"  # name "M"
-        "12 09 0A0161 1801 2001 2801"  # a = 1, optional, double
+        "12 09 0A0161 1801 2003 2801"  # a = 1, repeated, double
         "12 09 0A0162 1802 2001 280C"  # b = 2, optional, bytes
         "62 06 70726F746F33"  # syntax "proto3"
     )

@@ -5,6 +5,7 @@ import io
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
@@ -13,6 +14,7 @@ from mcap.exceptions import McapError
 from mcap.reader import make_reader
 from mcap.stream_reader import StreamReader
 
+from controller import recording_recovery
 from controller.recording_errors import RecordingFileError
 from controller.recording_reader import read_recording
 from controller.recording_recovery import recover
@@ -102,6 +104,60 @@ def test_a_damaged_chunk_costs_only_itself(mission: bytes, tmp_path: Path, chunk
     assert len(recording.damage) == 1
     assert "damaged and left out" in recording.damage[0]
     assert start < end
+
+
+def test_a_bit_that_turned_inside_stored_bytes_is_noticed(tmp_path: Path) -> None:
+    noise = np.random.default_rng(1).bytes(5000)  # cannot be compressed, so it lies in the file as it is
+    recorder = new_recorder(tmp_path / "m.mcap")
+    recorder.scanner_bytes("rx", noise, 1)
+    recorder.close()
+    data = bytearray((tmp_path / "m.mcap").read_bytes())
+    data[data.index(noise[2000:2100]) + 50] ^= 1
+    (tmp_path / "m.mcap").write_bytes(data)
+    recording = read_recording(tmp_path / "m.mcap")
+    assert recording.scanner_chunks() == []
+    assert "damaged and left out" in recording.damage[0]
+
+
+def test_both_directions_of_the_serial_line_come_in_order_of_time(tmp_path: Path) -> None:
+    recorder = new_recorder(tmp_path / "m.mcap")
+    for k, direction in enumerate(("tx", "rx", "rx", "tx", "rx")):
+        recorder.scanner_bytes(direction, bytes([k]), 1000 + k)  # type: ignore[arg-type]
+    recorder.close()
+    chunks = read_recording(tmp_path / "m.mcap").scanner_chunks()
+    assert [(c.direction, c.data) for c in chunks] == [
+        ("tx", b"\0"),
+        ("rx", b"\1"),
+        ("rx", b"\2"),
+        ("tx", b"\3"),
+        ("rx", b"\4"),
+    ]
+
+
+def test_without_any_name_of_a_topic_the_rest_is_still_there(mission: bytes, tmp_path: Path) -> None:
+    """The chunk that declares the topics is damaged and the summary that repeats them is cut off."""
+    spans = chunk_spans(mission)
+    damaged = bytearray(mission[: spans[-1][1]])
+    damaged[spans[0][1] - 20] ^= 0x55
+    (tmp_path / "m.mcap").write_bytes(damaged)
+    recording = read_recording(tmp_path / "m.mcap")
+    assert [len(messages) for messages in recording.topics.values()] == [(CHUNKS - 1) * FRAMES_PER_CHUNK]
+    assert recording.can_frames() == []
+    saved = recover(tmp_path / "m.mcap", tmp_path / "whole.mcap")
+    assert (saved.messages, saved.attachments) == (0, 1)
+
+
+def test_a_recovery_that_the_disk_ends_leaves_nothing_behind(
+    mission: bytes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(descriptor: int) -> None:
+        raise OSError(28, "No space left on device")
+
+    (tmp_path / "m.mcap").write_bytes(mission)
+    monkeypatch.setattr(recording_recovery.os, "fsync", full)
+    with pytest.raises(RecordingFileError, match="No space left"):
+        recover(tmp_path / "m.mcap", tmp_path / "new.mcap")
+    assert [p.name for p in tmp_path.iterdir()] == ["m.mcap"]
 
 
 def test_recovery_makes_a_file_that_standard_readers_accept(mission: bytes, tmp_path: Path) -> None:
