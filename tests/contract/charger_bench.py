@@ -16,10 +16,10 @@ from drivers.base import CanFrame, ChargerRequest, Heartbeat, MonotonicClock, Nu
 from drivers.charger.can_charger import CanCharger
 from drivers.charger.settings import CanSettings
 
-PATIENT_S = 1.0
+PATIENT_S = 0.7
 """Silence that counts as a loss where the loss itself is not the subject: the machine may be busy."""
 PATIENT = f"--lost-ms={1000 * PATIENT_S:.0f}"
-QUICK = "--time-scale=10"
+QUICK = "--time-scale=25"
 OPEN = (RequestResult.PENDING, RequestResult.ACCEPTED, RequestResult.BUSY)
 ESTOP_OK, HOLDS_PLUG, CLEAR, MATED = 1, 1 << 2, 1 << 4, 1 << 5
 
@@ -72,7 +72,7 @@ class Bench:
     """Driver and mock; ``until`` is the supervisor's tick."""
 
     def __init__(self, mock: MockProcess, **settings: Any) -> None:
-        settings = {"degraded_s": 0.6 * PATIENT_S, "lost_s": PATIENT_S} | settings
+        settings = {"degraded_s": 0.6 * PATIENT_S, "lost_s": PATIENT_S, "sleep_after_open_s": 0.02} | settings
         self.mock = mock
         self.log = FrameLog()
         self.settings = CanSettings(channel=str(self.mock.link), **settings)
