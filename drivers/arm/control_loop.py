@@ -9,29 +9,21 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from typing import Any, Protocol
+from typing import Any
 
 from drivers.arm import messages as m
+from drivers.arm.operation import Motion
 from drivers.arm.worker_link import GO_AWAY_S, LINK_LOST, Link
 
 POLL_S = 0.002
 SETTLE_S = 1.0
 """Longest wait for an earlier stop to finish before a new command is taken up."""
-START_MOTION_S = 1.0
-"""An accepted motion that the script has not begun after this long never will."""
 HOLD_CYCLES = 2.5
 """After so many cycles of the link the script has read what was streamed."""
 QUICK_STOP_S = 0.03
 """A blocking stop must be shorter than the watchdog's period, as nothing is kicked meanwhile."""
 BRANCH_RAD = 0.2
 """The controller's calibrated joints lie this close to the nominal ones, or on another branch."""
-
-
-class OperationStatus(Protocol):
-    """ur_rtde's AsyncOperationStatus."""
-
-    def operationId(self) -> int: ...
-    def isAsyncOperationRunning(self) -> bool: ...
 
 
 class LinkDeadError(Exception):
@@ -57,7 +49,8 @@ class ControlLoop:
         self._armed = False
         self._velocity: m.MoveVelocity | None = None
         self._compliance: m.Comply | None = None
-        self._streamed_s = -1.0
+        self._begun_s = -1.0
+        self._begun: m.MoveVelocity | m.Comply | None = None
         self._turn = 0
         self._speed_end_s: float | None = None
         self._speed_deceleration = 1.0
@@ -104,12 +97,10 @@ class ControlLoop:
                 self._motion = Motion(command.motion_id, "running", before)
             case m.MoveVelocity():
                 self._refuse_if_moving()
-                self._arm()
-                self._must(self._stream(command))
+                self._begin_mode(command, new=self._velocity is None)
                 self._velocity, self._speed_end_s = command, None
             case m.Comply():
-                self._arm()
-                self._must(self._stream(command))
+                self._begin_mode(command, new=self._compliance is None)
                 self._compliance = command
             case m.ZeroForceSensor():
                 self._must(self._control.zeroFtSensor())
@@ -139,9 +130,17 @@ class ControlLoop:
         if self._motion.phase in ("running", "stopping"):
             raise RefusedError("busy", "a motion is under way")
 
+    def _begin_mode(self, command: m.MoveVelocity | m.Comply, new: bool) -> None:
+        """Enter a mode, or change it. One that has just begun must be read before another command is written."""
+        self._arm()
+        if new:
+            self._wait_until_read()
+        self._must(self._stream(command))
+        if new:
+            self._begun, self._begun_s = command, time.monotonic()
+
     def _stream(self, command: m.MoveVelocity | m.Comply) -> bool:
         """Send a command that the script takes from the registers without an answer."""
-        self._streamed_s = time.monotonic()
         if isinstance(command, m.MoveVelocity):
             return bool(self._control.speedL(list(command.velocity), command.acceleration, 0.0))
         frame, selection = list(command.task_frame), list(command.selection)
@@ -160,7 +159,9 @@ class ControlLoop:
             return
         active = [command for command in (self._velocity, self._compliance) if command is not None]
         self._turn += 1
-        if active:
+        if self._begun is not None and self._begun in active and not self._read():
+            self._stream(self._begun)
+        elif active:
             self._stream(active[self._turn % len(active)])
         else:
             self._control.kickWatchdog()
@@ -209,9 +210,12 @@ class ControlLoop:
         self._compliance = None
         self._control.forceModeStop()
 
+    def _read(self) -> bool:
+        return time.monotonic() >= self._begun_s + self._cycle_s
+
     def _wait_until_read(self) -> None:
         """Let the script begin a streamed mode before it is told to end it, or it kills what is not there."""
-        time.sleep(max(0.0, self._streamed_s + self._cycle_s - time.monotonic()))
+        time.sleep(max(0.0, self._begun_s + self._cycle_s - time.monotonic()))
 
     def _forget_modes(self) -> None:
         self._velocity, self._speed_end_s, self._compliance = None, None, None
@@ -278,24 +282,3 @@ class ControlLoop:
                 self._advance()
             if self._program_running():
                 self._control.stopScript()
-
-
-class Motion:
-    """One asynchronous motion as the script's status register tells it."""
-
-    def __init__(self, motion_id: int = 0, phase: m.Phase = "idle", operation_before: int = -1) -> None:
-        self.motion_id = motion_id
-        self.phase = phase
-        self._before = operation_before
-        self._since_s = time.monotonic()
-
-    def advanced(self, status: OperationStatus, program_running: bool) -> Motion:
-        """The motion after a look at the status register, whose operation number changes when one begins."""
-        if self.phase not in ("running", "stopping"):
-            return self
-        if not program_running:
-            return Motion(self.motion_id, "failed")
-        if status.operationId() == self._before:
-            waited = time.monotonic() - self._since_s
-            return Motion(self.motion_id, "failed") if waited > START_MOTION_S else self
-        return self if status.isAsyncOperationRunning() else Motion(self.motion_id, "done")

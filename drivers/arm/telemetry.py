@@ -214,9 +214,9 @@ which would hold up the supervisor's tick for half a second."""
 
 
 def _retire(receive: Any) -> None:
-    """Disconnect, which takes half a second, in a thread of its own."""
+    """Disconnect, which takes half a second, in a thread of its own. Not a daemon: cut off at exit, it aborts."""
     _RETIRED.append(receive)
-    threading.Thread(target=receive.disconnect, name="arm-disconnect", daemon=True).start()
+    threading.Thread(target=receive.disconnect, name="arm-disconnect", daemon=False).start()
 
 
 def _connect(host: str, frequency_hz: float) -> Any:
