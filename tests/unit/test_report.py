@@ -2,6 +2,7 @@
 
 import base64
 import re
+from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
 
@@ -173,6 +174,7 @@ def test_depth_and_force_are_those_of_the_port_frame(tmp_path: Path) -> None:
     recorder = new_recorder(tmp_path / "m.mcap", clock)
     recorder.transition("READY", "go", "LOCATING", 0.0)
     recorder.estimate(estimate())
+    recorder.estimate(replace(estimate(accepted=False), T_ref_port=Pose.identity()))
     recorder.transition("LOCATING", "located", "INSERTING", 0.0)
     pushed = T_BASE_PORT.moved((0.001, 0.0, -0.012))
     for _ in range(5):
@@ -220,6 +222,7 @@ def test_the_alignment_takes_the_last_scan_before_the_last_estimate(tmp_path: Pa
     recorder = new_recorder(tmp_path / "m.mcap", clock)
     recorder.attach("model_points.npz", model_points_npz(), "application/x-npz")
     recorder.scan(scan_cloud().transformed(Pose.from_vector([1.0, 0, 0, 0, 0, 0]), "base"))
+    recorder.estimate(replace(estimate(accepted=False), T_ref_port=Pose.identity()))
     clock.sleep(1.0)
     recorder.scan(scan_cloud())
     recorder.estimate(estimate())
