@@ -29,8 +29,9 @@ import numpy as np
 
 from mocks.scanner.emulated_clock import EmulatedClock
 from mocks.scanner.paced_wire import PacedWire
+from mocks.scanner.profiler2 import Profiler2Device
 from mocks.scanner.pty_line import PtyLine
-from mocks.scanner.server import serve
+from mocks.scanner.server import Device, serve
 from mocks.scanner.sources import GrooveSource, RecordedSource, Source
 from mocks.scanner.streaming_device import StreamingDevice, StreamTiming
 from mocks.scanner.wire_faults import FaultRates, WireFaults
@@ -60,12 +61,18 @@ def main(arguments: list[str] | None = None) -> int:
         options.clock_offset_s,
         options.drift_ppm,
     )
-    device = StreamingDevice(source, wire, timing, clock, rng)
+    device: Device
+    if options.protocol == "profiler2":
+        device = Profiler2Device(
+            source, wire, clock, reference_m=options.reference_m, address_in_words=options.address_in_words
+        )
+    else:
+        device = StreamingDevice(source, wire, timing, clock, rng)
     requests: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
     signal.signal(signal.SIGUSR1, lambda *_: requests.put(line.unplug))
     signal.signal(signal.SIGUSR2, lambda *_: requests.put(line.plug_in))
     line.plug_in()
-    sys.stdout.write(json.dumps({"device": str(options.link), "protocol": "wide_xz", "pid": os.getpid()}) + "\n")
+    sys.stdout.write(json.dumps({"device": str(options.link), "protocol": options.protocol, "pid": os.getpid()}) + "\n")
     sys.stdout.flush()
     try:
         serve(device, line, wire, clock, stopping, requests)
@@ -75,12 +82,14 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def _source(options: argparse.Namespace, rng: np.random.Generator) -> tuple[Source, EmulatedClock]:
+    if options.source == "groove" and options.protocol == "profiler2":
+        return GrooveSource(832, 0.015, options.reference_m), EmulatedClock.of_wall(options.time_scale)
     if options.source == "groove":
         return GrooveSource(), EmulatedClock.of_wall(options.time_scale)
     if options.source == "world":
-        from mocks.scanner.world_source import WorldSource  # the ray-caster takes seconds to import
+        from mocks.scanner.world_source import NARROW, WorldSource  # the ray-caster takes seconds to import
 
-        world = WorldSource(options.world, rng)
+        world = WorldSource(options.world, rng, NARROW if options.protocol == "profiler2" else None)
         return world, world.clock
     return RecordedSource(Path(options.source)), EmulatedClock.of_wall(options.time_scale)
 
@@ -89,6 +98,7 @@ def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="mocks.scanner", description="A mock laser scanner on a pty.")
     add = parser.add_argument
     add("--link", type=Path, required=True, help="symlink to make: the device name that clients open")
+    add("--protocol", choices=("framed", "profiler2"), default="framed", help="framed: the preset wide_xz")
     add("--source", default="groove", help="groove, world, or the path of a recorded sweep (.npz)")
     add("--world", type=Path, help="folder of the mock world, for --source world")
     add("--baud", type=int, help="the device's own baud rate; default: the client's")
@@ -101,6 +111,8 @@ def _parser() -> argparse.ArgumentParser:
     add("--clock-offset-s", type=float, default=100.0)
     add("--drift-ppm", type=float, default=0.0)
     add("--buffer-bytes", type=int, default=65536, help="what the client's UART and kernel hold before bytes are lost")
+    add("--reference-m", type=float, default=0.10, help="profiler2: distance at which Y is 0")
+    add("--address-in-words", action="store_true", help="profiler2: addresses count words, not bytes")
     add("--lost", type=float, default=0.0, help="fault: probability that a byte is lost")
     add("--doubled", type=float, default=0.0, help="fault: probability that a byte comes twice")
     add("--flipped", type=float, default=0.0, help="fault: probability that a bit of a byte flips")

@@ -25,19 +25,21 @@ class Source(Protocol):
 
 
 class GrooveSource:
-    """A flat panel 0.4 m away with a groove that wanders with the profile's number: a picture without any world."""
+    """A flat panel with a groove that wanders with the profile's number: a picture without any world."""
 
-    def __init__(self, points: int = 1000) -> None:
-        self._x = np.linspace(-0.08, 0.08, points)
+    def __init__(self, points: int = 1000, half_width_m: float = 0.08, distance_m: float = 0.4) -> None:
+        self._x = np.linspace(-half_width_m, half_width_m, points)
+        self._distance_m = distance_m
 
     def begin_sweep(self) -> None:
         """Nothing changes."""
 
     def line(self, number: int, time_s: float) -> Array:
         """The same points for the same number."""
-        centre = 0.05 * np.sin(0.05 * number)
-        z = 0.4 + 0.02 * np.exp(-(((self._x - centre) / 0.01) ** 2))
-        z[np.abs(self._x) > 0.078] = np.nan
+        half = self._x[-1]
+        centre = 0.625 * half * np.sin(0.05 * number)
+        z = self._distance_m + 0.25 * half * np.exp(-(((self._x - centre) / (0.125 * half)) ** 2))
+        z[np.abs(self._x) > 0.975 * half] = np.nan
         return np.stack([self._x, z], axis=1)
 
 

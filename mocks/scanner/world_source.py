@@ -22,19 +22,23 @@ from perception.geometry import Array, Pose
 GLARE = 0.98
 """Share of the returns near the port that sun glare takes."""
 ATTACH_S = 10.0
+NARROW = SensorModel(
+    points_per_profile=832, window_m=0.03, standoff_m=0.10, near_m=0.07, far_m=0.13, baseline_m=-0.04, outliers=0.002
+)
+"""Optics like those of a Profiler 2: about 30 mm wide, some 56 mm deep."""
 
 
 class WorldSource:
     """``Source`` on the mock world in a run's folder."""
 
-    def __init__(self, folder: Path, rng: np.random.Generator) -> None:
+    def __init__(self, folder: Path, rng: np.random.Generator, optics: SensorModel | None = None) -> None:
         self._spec = WorldSpec.load(folder)
         self._board = _attach(folder)
         self._rng = rng
         vehicle_rng = np.random.default_rng(self._spec.seed)
         negative: Negative | None = "plain" if self._spec.panel == "plain" else None
         self._scene = build_scene(SceneSpec(WorldSpec.load_shape(folder), negative), vehicle_rng)
-        self._sensor = SensorModel(noise_m=self._spec.profile_noise_m)
+        self._sensor = replace(optics or SensorModel(), noise_m=self._spec.profile_noise_m)
         self._glaring = False
         self._T_port_base = self._spec.port_pose.inverse()
         self._T_flange_scanner = Pose.from_vector(self._spec.T_flange_scanner)

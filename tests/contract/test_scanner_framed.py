@@ -2,14 +2,10 @@
 
 from __future__ import annotations
 
-import json
 import os
-import select
 import signal
-import subprocess
-import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -21,25 +17,7 @@ from controller.scanner_files import load_scanner
 from drivers.base import LinkLostError, LinkOpenError, MonotonicClock, NullSink
 from drivers.scanner.framed import FramedScanner, FramedTimeouts
 from drivers.scanner.serial_link import SerialSettings
-from perception.scan import Profile
-
-PATIENCE_S = 20.0
-
-
-@contextmanager
-def mock(link: Path, *options: str) -> Iterator[subprocess.Popen[str]]:
-    command = [sys.executable, "-m", "mocks.scanner", "--link", str(link), *options]
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
-    try:
-        assert process.stdout is not None
-        assert select.select([process.stdout], [], [], PATIENCE_S)[0], "the mock does not come up"
-        assert json.loads(process.stdout.readline())["device"] == str(link)
-        yield process
-    finally:
-        process.terminate()
-        process.wait(PATIENCE_S)
-        assert process.stdout is not None
-        process.stdout.close()
+from tests.contract.scanner_bench import mock, take, until
 
 
 @contextmanager
@@ -54,24 +32,6 @@ def driver(link: Path, **options: object) -> Iterator[FramedScanner]:
         yield scanner
     finally:
         scanner.close()
-
-
-def until(condition: Callable[[], bool], what: str) -> None:
-    end_s = time.monotonic() + PATIENCE_S
-    while not condition():
-        assert time.monotonic() < end_s, f"not within {PATIENCE_S} s: {what}"
-        time.sleep(0.005)
-
-
-def take(scanner: FramedScanner, count: int) -> list[Profile]:
-    profiles: list[Profile] = []
-
-    def enough() -> bool:
-        profiles.extend(scanner.take())
-        return len(profiles) >= count
-
-    until(enough, f"{count} profiles")
-    return profiles
 
 
 def groove(number: int) -> np.ndarray:  # type: ignore[type-arg]
