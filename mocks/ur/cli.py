@@ -58,10 +58,12 @@ def build(options: argparse.Namespace) -> UrServer:
         environment = PortEnvironment(world, board)
     arm = Arm(Kinematics(MODELS[model]), np.array(joints), environment, Sensor(rng, 0.3, 0.01, 3.0, 0.1))
     version = tuple(int(part) for part in options.version.split("."))
-    controller = Controller(arm, (version[0], version[1], version[2], version[3]))
+    controller = Controller(
+        arm, (version[0], version[1], version[2], version[3]), stop_pauses=options.protective_stop == "paused"
+    )
     controller.remote = not options.local
     time_scale = board.time_scale if board else options.time_scale
-    server = UrServer(controller, options.host, options.rate, _clock(board, time_scale), time_scale)
+    server = UrServer(controller, options.host, options.rate, _clock(board, time_scale), time_scale, options.programs)
     if board is not None:
         server.after_step = lambda: _publish(controller, board)
     return server
@@ -96,6 +98,12 @@ def _parser() -> argparse.ArgumentParser:
         "--control", action="store_true", help="take faults as JSON lines on stdin; its end ends the mock"
     )
     parser.add_argument("--floor", type=float, help="height in m of a floor that the flange can touch, without --world")
+    parser.add_argument(
+        "--programs", type=Path, help="folder of NAME.script files that the dashboard loads as NAME.urp"
+    )
+    parser.add_argument(
+        "--protective-stop", choices=("paused", "stopped"), default="paused", help="what it leaves the program in"
+    )
     parser.add_argument("--local", action="store_true", help="start in local mode: scripts are ignored")
     parser.add_argument("--log", default="WARNING", help="log level")
     return parser

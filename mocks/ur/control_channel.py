@@ -13,6 +13,7 @@ Each line is an object with the key ``do`` and its arguments; each is answered w
     {"do": "registers_in_use", "names": ["input_int_register_0"]}
     {"do": "script_starts", "on": false}     uploaded scripts are ignored
     {"do": "digital_in", "bits": 1}
+    {"do": "commands"}                       host's monotonic time and number of the last control-script commands
     {"do": "state"}                          answers with what the controller is doing
 """
 
@@ -58,6 +59,7 @@ class ControlChannel:
             "registers_in_use": self._registers_in_use,
             "script_starts": lambda fault: setattr(self._controller, "script_starts", bool(fault["on"])),
             "digital_in": lambda fault: setattr(self._controller.io, "digital_in", int(fault["bits"])),
+            "commands": lambda fault: {"commands": list(self._controller.commands)},
             "state": self._state,
         }
         server.selector.register(descriptor, selectors.EVENT_READ, self._ready)

@@ -6,10 +6,13 @@ It knows nothing of sockets: the servers call its methods and read its state.
 from __future__ import annotations
 
 import logging
+import time
+from collections import deque
 from collections.abc import Callable
 
 import numpy as np
 
+from mocks.ur import inputs
 from mocks.ur.arm import Arm
 from mocks.ur.control_script import ControlScript
 from mocks.ur.custom_script import CustomScript
@@ -72,6 +75,9 @@ class Controller:
         self._tcp_pose: Array | None = None
         self._tool_speed: Array | None = None
         self.on_kick: Callable[[], None] = lambda: None
+        self.on_program: Callable[[str, str], None] = lambda title, name: None
+        self.commands: deque[tuple[float, int]] = deque(maxlen=1000)
+        """Host's monotonic time and number of each command seen in the command register."""
 
     # --- what clients read --------------------------------------------------------------------------------------------
 
@@ -90,6 +96,13 @@ class Controller:
         return self._tool_speed
 
     @property
+    def raw_wrench(self) -> Array:
+        """What the sensor itself reads (6,): flange axes, the payload's weight not taken out."""
+        R = self.arm.reference.links[5, :3, :3]
+        force = R.T @ (self.arm.wrench[:3] + np.array([0.0, 0.0, -9.82 * self.payload.mass_kg]))
+        return np.concatenate([force, R.T @ self.arm.wrench[3:]])
+
+    @property
     def robot_status_bits(self) -> int:
         """Bit 0 power on, bit 1 program running."""
         return int(self.power.powered) | (int(self.runtime_state == RuntimeState.PLAYING) << 1)
@@ -101,7 +114,7 @@ class Controller:
 
     # --- programs -----------------------------------------------------------------------------------------------------
 
-    def run_script(self, text: str) -> bool:
+    def run_script(self, text: str, name: str | None = None) -> bool:
         """Start a script from the script port; ignored without notice in local mode, as on a real one."""
         if not self.remote or not self.script_starts or not self._can_move():
             log.info("script ignored")
@@ -110,13 +123,16 @@ class Controller:
             self.stop_program()
         control = "def rtde_control" in text or "# int register offset" in text
         program = ControlScript(self, text) if control else CustomScript(self, text)
-        self.program, self.program_name = program, program.name
+        self.program, self.program_name = program, name or program.name
         self.runtime_state = RuntimeState.PLAYING
+        self.on_program("PROGRAM_XXX_STARTED", program.name)
         self.arm.paused = False
         return True
 
     def stop_program(self) -> None:
         """End the program and bring the arm to rest."""
+        if self.program is not None:
+            self.on_program("PROGRAM_XXX_STOPPED", self.program.name)
         self.program = None
         self.watched = None
         self.runtime_state = RuntimeState.STOPPED
@@ -140,6 +156,17 @@ class Controller:
         self.runtime_state, self.arm.paused = RuntimeState.PLAYING, False
         return True
 
+    def power_off(self) -> None:
+        """Brakes on, power gone, program ended."""
+        self.stop_program()
+        self.arm.stop_dead()
+        self.power.towards(PowerMode.POWER_OFF, self.time_s)
+
+    def power_up(self, target: PowerMode) -> None:
+        """Power on (IDLE) or also release the brakes (RUNNING); not while a safety stop is active."""
+        if self.safety.mode not in STOPPED_SAFETY and self.power.mode < target:
+            self.power.towards(target, self.time_s)
+
     def _can_move(self) -> bool:
         return self.power.mode == PowerMode.RUNNING and self.safety.mode not in STOPPED_SAFETY
 
@@ -149,36 +176,15 @@ class Controller:
         """What an RTDE client wrote, by variable name."""
         if self.program is not None and self.runtime_state == RuntimeState.PLAYING:
             self._guarded(self.program, self.program.before_inputs)
-        for name, value in values.items():
-            if name.startswith("input_int_register_"):
-                self.registers.in_int[int(name[19:])] = int(value[0])
-            elif name.startswith("input_double_register_"):
-                self.registers.in_double[int(name[22:])] = value[0]
-            elif name.startswith("input_bit_register"):
-                self._write_bits(name, int(value[0]))
-        self._write_outputs({name: value[0] for name, value in values.items()})
+        for register in (0, 24):
+            command = int(values.get(f"input_int_register_{register}", (0,))[0])
+            if command not in (0, self.registers.in_int[register]):
+                self.commands.append((time.monotonic(), command))
+        inputs.write_registers(self.registers, values)
+        inputs.write_outputs(self.io, values)
+        self.arm.slider = inputs.slider(values, self.arm.slider)
         if self.watched in values:
             self.on_kick()
-
-    def _write_bits(self, name: str, value: int) -> None:
-        if name.startswith("input_bit_registers"):
-            first, width = (0, 32) if name.endswith("0_to_31") else (32, 32)
-        else:
-            first, width = int(name[19:]), 1
-        mask = ((1 << width) - 1) << first
-        self.registers.in_bits = self.registers.in_bits & ~mask | (value << first) & mask
-
-    def _write_outputs(self, values: dict[str, float]) -> None:
-        if int(values.get("speed_slider_mask", 0)) & 1:
-            self.arm.slider = float(np.clip(values.get("speed_slider_fraction", 1.0), 0.0, 1.0))
-        for name, shift in (("standard", 0), ("configurable", 8), ("tool", 16)):
-            mask = int(values.get(f"{name}_digital_output_mask", 0)) << shift
-            bits = int(values.get(f"{name}_digital_output", 0)) << shift
-            self.io.digital_out = self.io.digital_out & ~mask | bits & mask
-        mask = int(values.get("standard_analog_output_mask", 0))
-        for k in (0, 1):
-            if mask >> k & 1:
-                self.io.analog[k] = values[f"standard_analog_output_{k}"]
 
     def set_watchdog(self, variable: str, min_frequency_hz: float) -> None:
         """Stop the program when the variable is not written at this rate; 0 switches it off."""
@@ -219,8 +225,7 @@ class Controller:
         if self.safety.mode == wanted:
             return
         self._enter(wanted)
-        self.power.mode = PowerMode.POWER_OFF
-        self.stop_program()
+        self.power_off()
 
     def release_emergency_stop(self) -> None:
         """The button is pulled out: power stays off."""
@@ -232,13 +237,13 @@ class Controller:
         """Put the safety system into a mode that nothing else here leads to (reduced, recovery, violation, fault)."""
         self._enter(mode)
         if mode in STOPPED_SAFETY:
-            self.power.mode = PowerMode.POWER_OFF
-            self.stop_program()
+            self.power_off()
 
     def restart_safety(self) -> None:
         """After a safety fault or violation: normal again, without power."""
         self._enter(Safety.NORMAL)
-        self.power.mode = PowerMode.POWER_OFF
+        self.power_off()
+        self.arm.paused = False
 
     def safeguard(self, open_gate: bool) -> None:
         """A safeguard stop holds the arm while the gate is open; the program goes on afterwards."""
@@ -258,6 +263,7 @@ class Controller:
     def tick(self, dt: float) -> None:
         """Advance by ``dt`` of emulated time."""
         self.time_s += dt
+        self.power.tick(self.time_s)
         self._forget_pose()
         if self.program is not None and self.runtime_state == RuntimeState.PLAYING:
             self._run_program(self.program)

@@ -15,6 +15,8 @@ from mocks.ur.motion import Halt, JointVelocity, ToolVelocity
 from mocks.ur.program import Thread, ThreadedProgram
 from mocks.ur.script_text import Call, parse_call
 from mocks.ur.spatial import matrix_of
+from mocks.ur.state import REGISTERS
+from perception.geometry import Array
 
 if TYPE_CHECKING:
     from mocks.ur.controller import Controller
@@ -43,9 +45,9 @@ class CustomScript(ThreadedProgram):
     def _run(self, call: Call) -> Thread:
         if call.is_move:
             yield from self.wait_for(self.arm.start(call.motion(self)))
-        elif call.name in ("speedl", "speedj") and call.vector is not None:
+        elif call.name in ("speedl", "speedj") and _has(call, 6):
             kind = ToolVelocity if call.name == "speedl" else JointVelocity
-            self.arm.start(kind(call.vector, call.value("a", 0, 0.5)))
+            self.arm.start(kind(_vector(call), call.value("a", 0, 0.5)))
             yield from self._sleep(call.value("t", 1, 0.0))
         elif call.name in ("stopj", "stopl"):
             deceleration = call.value("a", 0, 2.0)
@@ -64,18 +66,21 @@ class CustomScript(ThreadedProgram):
 
     def _set(self, call: Call) -> None:
         registers, io = self.controller.registers, self.controller.io
+        vector = _vector(call)
         words = [word.strip() for word in call.text.split(",")]
-        if call.name == "set_tcp" and call.vector is not None:
-            self.arm.set_tcp(matrix_of(call.vector))
+        if call.name == "set_tcp" and _has(call, 6):
+            self.arm.set_tcp(matrix_of(vector))
         elif call.name == "set_payload" and call.numbers:
             self.controller.payload.mass_kg = call.numbers[0]
-            if call.vector is not None and len(call.vector) == 3:
-                self.controller.payload.cog = np.asarray(call.vector)
-        elif call.name == "write_output_integer_register" and len(call.numbers) == 2:
-            registers.out_int[int(call.numbers[0])] = int(call.numbers[1])
-        elif call.name == "write_output_float_register" and len(call.numbers) == 2:
+            if _has(call, 3):
+                self.controller.payload.cog = vector
+        elif call.name == "write_output_integer_register" and _is_register(call):
+            registers.out_int[int(call.numbers[0])] = int(max(-(2.0**31), min(2.0**31 - 1, call.numbers[1])))
+        elif call.name == "write_output_float_register" and _is_register(call):
             registers.out_double[int(call.numbers[0])] = call.numbers[1]
-        elif call.name in ("set_digital_out", "set_standard_digital_out") and call.numbers:
+        elif (
+            call.name in ("set_digital_out", "set_standard_digital_out") and call.numbers and 0 <= call.numbers[0] < 18
+        ):
             bit = 1 << int(call.numbers[0])
             io.digital_out = io.digital_out | bit if words[-1] in ("True", "1") else io.digital_out & ~bit
         elif call.name == "zero_ftsensor":
@@ -84,3 +89,15 @@ class CustomScript(ThreadedProgram):
             self.controller.protective_stop()
         else:
             log.warning("call in script not simulated: %s", call.name)
+
+
+def _vector(call: Call) -> Array:
+    return np.zeros(0) if call.vector is None else call.vector
+
+
+def _has(call: Call, count: int) -> bool:
+    return len(_vector(call)) == count
+
+
+def _is_register(call: Call) -> bool:
+    return len(call.numbers) == 2 and 0 <= call.numbers[0] < REGISTERS

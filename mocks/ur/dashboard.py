@@ -1,13 +1,15 @@
 """Dashboard server, port 29999: one command in each line, one line of reply in UR's own words.
 
-Programs on disk, installations, users, flight reports and support files are not simulated beyond the reply.
+A program is a simple script file in a folder given to the mock. Installations, users, operational modes, logs, flight
+reports and support files are not simulated beyond the reply.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 
-from mocks.ur.controller import STOPPED_SAFETY, Controller
+from mocks.ur.controller import Controller
 from mocks.ur.sockets import Connection
 from mocks.ur.state import PowerMode, RuntimeState, Safety
 
@@ -46,10 +48,12 @@ class DashboardClient:
 class DashboardCommands:
     """Commands by name; some take an argument behind it."""
 
-    def __init__(self, controller: Controller, serial_number: str) -> None:
+    def __init__(self, controller: Controller, serial_number: str, programs: Path | None = None) -> None:
         self._controller = controller
         self._serial_number = serial_number
-        self._loaded = ""
+        self._programs = programs
+        self._loaded = self._script = ""
+        self._role = "NONE"
         self._operational_mode = "NONE"
         self._plain: dict[str, Callable[[], str]] = {
             "play": self._play,
@@ -77,6 +81,8 @@ class DashboardCommands:
             "close safety popup": lambda: "closing safety popup",
             "restart safety": self._restart_safety,
             "is in remote control": lambda: str(self._controller.remote).lower(),
+            "getUserRole": lambda: self._role,
+            "saveLog": lambda: "Log saved to disk",
             "get serial number": lambda: self._serial_number,
             "get robot model": self._model,
         }
@@ -85,7 +91,9 @@ class DashboardCommands:
             "load": self._load,
             "popup": lambda text: "showing popup",
             "addToLog": lambda text: "Added log message",
-            "setUserRole": lambda role: f"Setting user role: {role}",
+            "setUserRole": self._set_role,
+            "generate flight report": lambda kind: f"Generating flight report: {kind}",
+            "generate support file": lambda path: f"Generating support file: {path}",
             "set operational mode": self._set_mode,
         }
 
@@ -104,8 +112,14 @@ class DashboardCommands:
         return self._controller.program_name or self._loaded or "<unnamed>"
 
     def _play(self) -> str:
-        allowed = self._controller.remote and self._controller.play()
-        return "Starting program" if allowed else "Failed to execute: play"
+        started = self._controller.remote and (self._controller.play() or self._start())
+        return "Starting program" if started else "Failed to execute: play"
+
+    def _start(self) -> bool:
+        """Run the loaded program from its beginning."""
+        if not self._script or self._controller.runtime_state != RuntimeState.STOPPED:
+            return False
+        return self._controller.run_script(self._script, self._loaded)
 
     def _stop(self) -> str:
         if not self._controller.remote:
@@ -127,7 +141,14 @@ class DashboardCommands:
         return f"{word} {self._name()}"
 
     def _load(self, name: str) -> str:
-        return f"File not found: {name}"
+        """A program is a URScript file of the same name, with .script for .urp, in the programs folder."""
+        file = None if self._programs is None else self._programs / Path(name).with_suffix(".script").name
+        if file is None or not file.is_file():
+            return f"File not found: {name}"
+        self._controller.stop_program()
+        self._loaded, self._script = name, file.read_text()
+        self._controller.program_name = name
+        return f"Loading program: {name}"
 
     # --- the robot ----------------------------------------------------------------------------------------------------
 
@@ -141,27 +162,29 @@ class DashboardCommands:
         return self._controller.arm.reference.kinematics.model.name.upper().removesuffix("E")
 
     def _set_mode(self, mode: str) -> str:
+        if mode.upper() not in ("MANUAL", "AUTOMATIC"):
+            return f"could not understand: 'set operational mode {mode}'"
         self._operational_mode = mode.upper()
-        return f"Setting operational mode: {mode}"
+        return f"Operational mode {self._operational_mode} is set"
+
+    def _set_role(self, role: str) -> str:
+        self._role = role.upper()
+        return f"Setting user role: {role}"
 
     def _clear_mode(self) -> str:
         mode, self._operational_mode = self._operational_mode, "NONE"
         return f"No longer controlling the operational mode. Current operational mode: '{mode}'."
 
     def _power_on(self) -> str:
-        if self._controller.safety.mode not in STOPPED_SAFETY and not self._controller.power.powered:
-            self._controller.power.mode = PowerMode.IDLE
+        self._controller.power_up(PowerMode.IDLE)
         return "Powering on"
 
     def _power_off(self) -> str:
-        self._controller.stop_program()
-        self._controller.arm.stop_dead()
-        self._controller.power.mode = PowerMode.POWER_OFF
+        self._controller.power_off()
         return "Powering off"
 
     def _brake_release(self) -> str:
-        if self._controller.power.mode == PowerMode.IDLE:
-            self._controller.power.mode = PowerMode.RUNNING
+        self._controller.power_up(PowerMode.RUNNING)
         return "Brake releasing"
 
     def _unlock(self) -> str:

@@ -48,8 +48,8 @@ class Reference:
     def advance(self, q: Array, dt: float, links: Array | None = None) -> None:
         """Take new joints after ``dt``. Raises MotionError when they cannot be reached in that time."""
         qd = (q - self.q) / dt
-        if np.abs(q).max() > JOINT_LIMIT_RAD or np.abs(qd).max() > 2.0 * MAX_JOINT_SPEED_RAD_S:
-            raise MotionError("joint limit")
+        if not (np.abs(q).max() <= JOINT_LIMIT_RAD and np.abs(qd).max() <= 2.0 * MAX_JOINT_SPEED_RAD_S):
+            raise MotionError("beyond a joint's limit, or no number")
         self.q, self.qd = q, qd
         self.refresh(links)
 

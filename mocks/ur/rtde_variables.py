@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mocks.ur.spatial import pose_of
+from mocks.ur.state import BITS, REGISTERS
 
 if TYPE_CHECKING:
     from mocks.ur.controller import Controller
@@ -33,8 +34,6 @@ FORMATS = {
     "VECTOR6UINT32": "6I",
 }
 _SCALARS = {"BOOL", "UINT8", "UINT32", "UINT64", "INT32", "DOUBLE"}
-REGISTERS = 48
-BITS = 128
 
 
 def _constant(*values: float) -> Getter:
@@ -59,7 +58,7 @@ def _outputs() -> dict[str, tuple[str, Getter]]:
         table[f"output_double_register_{k}"] = ("DOUBLE", _register("out_double", k))
         table[f"input_int_register_{k}"] = ("INT32", _register("in_int", k))
         table[f"input_double_register_{k}"] = ("DOUBLE", _register("in_double", k))
-    for k in range(64, BITS):
+    for k in range(BITS):
         table[f"output_bit_register_{k}"] = ("BOOL", _bit("out_bits", k))
         table[f"input_bit_register_{k}"] = ("BOOL", _bit("in_bits", k))
     return table
@@ -184,7 +183,7 @@ _GROUPS: list[tuple[str, dict[str, Getter]]] = [
             "joint_temperatures": _constant(*[28.0] * 6),
             "actual_joint_voltage": _constant(*[48.0] * 6),
             "payload_inertia": lambda c: c.payload.inertia,
-            "ft_raw_wrench": lambda c: c.arm.wrench,
+            "ft_raw_wrench": lambda c: c.raw_wrench,
             "wrench_calc_from_currents": lambda c: c.arm.wrench,
             "tcp_offset": lambda c: pose_of(c.arm.reference.T_flange_tcp),
         },

@@ -14,7 +14,7 @@ from perception.geometry import Array
 
 _CALL = re.compile(r"^\s*(\w+)\((.*)\)\s*$")
 _VECTOR = re.compile(r"(p?)\[([^\]]*)\]")
-_NAMED = re.compile(r"\b(\w+)\s*=\s*([-+0-9.eE]+)")
+_NAMED = re.compile(r"\b(\w+)\s*=\s*([-+]?\d*\.?\d+(?:[eE][-+]?\d+)?)")
 PATH_MARKER = "# inject move path\n"
 
 

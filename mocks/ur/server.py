@@ -11,9 +11,11 @@ import logging
 import selectors
 import time
 from collections.abc import Callable
+from pathlib import Path
 
 from mocks.ur.controller import Controller
 from mocks.ur.dashboard import DashboardClient, DashboardCommands
+from mocks.ur.primary import PrimaryClient
 from mocks.ur.rtde_server import Ownership, RtdeClient
 from mocks.ur.script_server import ScriptClient
 from mocks.ur.sockets import Connection, Listener
@@ -34,6 +36,7 @@ class UrServer:
         rate_hz: int,
         world_time_s: Callable[[], float],
         time_scale: float,
+        programs: Path | None = None,
         serial_number: str = "20240000001",
     ) -> None:
         self.controller = controller
@@ -49,11 +52,14 @@ class UrServer:
         self._time_scale = time_scale
         self._kicked_at = time.monotonic()
         controller.on_kick = self._kick
-        commands = DashboardCommands(controller, serial_number)
+        controller.on_program = self._tell_program
+        commands = DashboardCommands(controller, serial_number, programs)
         self.listeners = {
             "rtde": Listener(self.selector, host, 30004, self._rtde_client),
             "dashboard": Listener(self.selector, host, 29999, lambda c: DashboardClient(c, commands)),
             "script": Listener(self.selector, host, 30003, lambda c: ScriptClient(c, controller)),
+            "primary": Listener(self.selector, host, 30001, lambda c: PrimaryClient(c, controller)),
+            "secondary": Listener(self.selector, host, 30002, lambda c: PrimaryClient(c, controller)),
         }
 
     def run(self) -> None:
@@ -98,9 +104,15 @@ class UrServer:
     def _send_states(self) -> None:
         if time.monotonic() < self.frozen_until:
             return
-        for connection in self.listeners["rtde"].live():
-            if isinstance(connection.handler, RtdeClient):
-                connection.handler.send_state()
+        for name in ("rtde", "primary", "secondary"):
+            for connection in self.listeners[name].live():
+                if isinstance(connection.handler, RtdeClient | PrimaryClient):
+                    connection.handler.send_state()
+
+    def _tell_program(self, title: str, name: str) -> None:
+        for connection in self.listeners["primary"].live():
+            if isinstance(connection.handler, PrimaryClient):
+                connection.handler.send_key(title, name)
 
     def _rtde_client(self, connection: Connection) -> RtdeClient:
         return RtdeClient(connection, self.controller, self.ownership, float(self._rate_hz))

@@ -58,14 +58,19 @@ SAFETY_BITS = {
 """RTDE ``safety_status_bits`` of each mode; bit 10 says stopped due to safety."""
 
 
+REGISTERS = 48
+"""Integer and double registers each way."""
+BITS = 128
+
+
 @dataclass(slots=True)
 class Registers:
     """General purpose registers; the bit registers are kept as one number each way."""
 
-    in_int: list[int] = field(default_factory=lambda: [0] * 48)
-    in_double: list[float] = field(default_factory=lambda: [0.0] * 48)
-    out_int: list[int] = field(default_factory=lambda: [0] * 48)
-    out_double: list[float] = field(default_factory=lambda: [0.0] * 48)
+    in_int: list[int] = field(default_factory=lambda: [0] * REGISTERS)
+    in_double: list[float] = field(default_factory=lambda: [0.0] * REGISTERS)
+    out_int: list[int] = field(default_factory=lambda: [0] * REGISTERS)
+    out_double: list[float] = field(default_factory=lambda: [0.0] * REGISTERS)
     in_bits: int = 0
     out_bits: int = 0
 
@@ -80,11 +85,29 @@ class InputsOutputs:
     analog_types: int = 0
 
 
+POWER_STEP_S = 0.3
+"""Emulated seconds from one power mode to the next on the way up; a real arm takes some seconds."""
+
+
 @dataclass(slots=True)
 class Power:
-    """Arm power."""
+    """Arm power: the mode, and the one it is on its way to."""
 
     mode: PowerMode = PowerMode.RUNNING
+    target: PowerMode = PowerMode.RUNNING
+    since_s: float = 0.0
+
+    def towards(self, target: PowerMode, time_s: float) -> None:
+        """Head for a mode; power drops at once and comes back step by step."""
+        self.target, self.since_s = target, time_s
+        if target < self.mode:
+            self.mode = target
+
+    def tick(self, time_s: float) -> None:
+        """Take the next step up when it is time."""
+        if self.mode < self.target and time_s - self.since_s >= POWER_STEP_S:
+            self.mode = min(mode for mode in PowerMode if mode > self.mode)
+            self.since_s = time_s
 
     @property
     def powered(self) -> bool:

@@ -17,10 +17,18 @@ from rtde_control import Path as RtdePath
 from rtde_control import PathEntry, RTDEControlInterface
 from rtde_io import RTDEIOInterface
 from rtde_receive import RTDEReceiveInterface
-from ur_mock_process import T_BASE_PORT, T_FLANGE_TCP, MockUr, make_world, run_client, start_client, still
 
 from mocks.world.blackboard import Blackboard
 from perception.geometry import Pose
+from tests.contract.ur_mock_process import (
+    T_BASE_PORT,
+    T_FLANGE_TCP,
+    MockUr,
+    make_world,
+    run_client,
+    start_client,
+    still,
+)
 
 HZ = 125.0
 HOME = [0.0, -1.5, 1.5, -1.5, -1.5, 0.0]

@@ -9,45 +9,18 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mocks.ur.arm import Arm, FreeSpace, Sensor
 from mocks.ur.controller import Controller
-from mocks.ur.kinematics import MODELS, Kinematics
 from mocks.ur.rtde_server import Ownership, RtdeClient
 from mocks.ur.rtde_variables import INPUTS, OUTPUTS
-
-JOINTS = np.array([0.0, -1.5708, 1.5708, -1.5708, -1.5708, 0.0])
-
-
-class _Wire:
-    """Stands for a TCP connection: keeps what was sent."""
-
-    def __init__(self) -> None:
-        self.sent = b""
-        self.backlog = False
-        self.closed = False
-
-    def send(self, data: bytes) -> None:
-        self.sent += data
-
-    def close(self) -> None:
-        self.closed = True
-
-    def take(self) -> bytes:
-        sent, self.sent = self.sent, b""
-        return sent
+from tests.unit.mock_ur_parts import Wire, new_controller
 
 
-def _controller(version: tuple[int, int, int, int] = (5, 15, 0, 7)) -> Controller:
-    sensor = Sensor(np.random.default_rng(1), 0.0, 0.0, 0.0, 0.0)
-    return Controller(Arm(Kinematics(MODELS["ur10e"]), JOINTS, FreeSpace(), sensor), version)
-
-
-def _client(controller: Controller, ownership: Ownership | None = None) -> tuple[RtdeClient, _Wire]:
-    wire = _Wire()
+def _client(controller: Controller, ownership: Ownership | None = None) -> tuple[RtdeClient, Wire]:
+    wire = Wire()
     return RtdeClient(wire, controller, ownership or Ownership(), 500.0), wire  # type: ignore[arg-type]
 
 
-def _ask(client: RtdeClient, wire: _Wire, data: bytes) -> bytes:
+def _ask(client: RtdeClient, wire: Wire, data: bytes) -> bytes:
     client.received(data)
     return wire.take()
 
@@ -56,18 +29,18 @@ V2 = b"\x00\x05V\x00\x02"
 
 
 def test_version_2_is_accepted_and_version_3_is_not() -> None:
-    client, wire = _client(_controller())
+    client, wire = _client(new_controller())
     assert _ask(client, wire, V2) == b"\x00\x04V\x01"
     assert _ask(client, wire, b"\x00\x05V\x00\x03") == b"\x00\x04V\x00"
 
 
 def test_controller_version_is_told() -> None:
-    client, wire = _client(_controller((5, 15, 2, 300)))
+    client, wire = _client(new_controller((5, 15, 2, 300)))
     assert _ask(client, wire, b"\x00\x03v") == b"\x00\x13v\0\0\0\x05\0\0\0\x0f\0\0\0\x02\0\0\x01\x2c"
 
 
 def test_output_recipe_with_ur_rtdes_trailing_comma() -> None:
-    client, wire = _client(_controller())
+    client, wire = _client(new_controller())
     client.received(V2)
     wire.take()
     body = struct.pack(">d", 125.0) + b"timestamp,robot_mode,actual_q,"
@@ -76,7 +49,7 @@ def test_output_recipe_with_ur_rtdes_trailing_comma() -> None:
 
 
 def test_unknown_output_gives_not_found_and_recipe_0() -> None:
-    client, wire = _client(_controller())
+    client, wire = _client(new_controller())
     client.received(V2)
     wire.take()
     reply = _ask(client, wire, b"\x00\x15O" + struct.pack(">d", 1.0) + b"timest,abc")
@@ -84,12 +57,12 @@ def test_unknown_output_gives_not_found_and_recipe_0() -> None:
 
 
 def test_version_1_has_no_frequency_and_no_recipe_id() -> None:
-    client, wire = _client(_controller())
+    client, wire = _client(new_controller())
     assert _ask(client, wire, b"\x00\x0eOrobot_mode,"[:2] + b"O" + b"robot_mode,") == b"\x00\x08OINT32"
 
 
 def test_data_package_holds_the_values_in_order() -> None:
-    controller = _controller()
+    controller = new_controller()
     client, wire = _client(controller)
     client.received(V2 + b"\x00\x2aO" + struct.pack(">d", 500.0) + b"timestamp,runtime_state,payload")
     assert _ask(client, wire, b"\x00\x03S").endswith(b"\x00\x04S\x01")
@@ -100,7 +73,7 @@ def test_data_package_holds_the_values_in_order() -> None:
 
 
 def test_samples_come_at_the_frequency_asked_for() -> None:
-    controller = _controller()
+    controller = new_controller()
     client, wire = _client(controller)
     client.received(V2 + b"\x00\x14O" + struct.pack(">d", 125.0) + b"timestamp" + b"\x00\x03S")
     wire.take()
@@ -113,7 +86,7 @@ def test_samples_come_at_the_frequency_asked_for() -> None:
 
 
 def test_nothing_is_sent_before_start_nor_after_pause() -> None:
-    controller = _controller()
+    controller = new_controller()
     client, wire = _client(controller)
     client.received(V2 + b"\x00\x14O" + struct.pack(">d", 125.0) + b"timestamp")
     wire.take()
@@ -126,7 +99,7 @@ def test_nothing_is_sent_before_start_nor_after_pause() -> None:
 
 
 def test_a_client_that_does_not_keep_up_misses_samples() -> None:
-    controller = _controller()
+    controller = new_controller()
     client, wire = _client(controller)
     client.received(V2 + b"\x00\x14O" + struct.pack(">d", 125.0) + b"timestamp" + b"\x00\x03S")
     wire.take()
@@ -141,7 +114,7 @@ def _setup_input(names: bytes) -> bytes:
 
 
 def test_input_ids_count_from_1_and_values_reach_the_registers() -> None:
-    controller = _controller()
+    controller = new_controller()
     client, wire = _client(controller)
     assert (
         _ask(client, wire, _setup_input(b"input_int_register_0,input_double_register_3,"))
@@ -154,7 +127,7 @@ def test_input_ids_count_from_1_and_values_reach_the_registers() -> None:
 
 
 def test_an_input_belongs_to_one_connection_until_it_leaves() -> None:
-    controller, ownership = _controller(), Ownership()
+    controller, ownership = new_controller(), Ownership()
     first, first_wire = _client(controller, ownership)
     second, second_wire = _client(controller, ownership)
     assert _ask(first, first_wire, _setup_input(b"input_int_register_0")) == b"\x00\x09I\x01INT32"
@@ -167,12 +140,12 @@ def test_an_input_belongs_to_one_connection_until_it_leaves() -> None:
 def test_a_register_of_a_field_bus_is_in_use() -> None:
     ownership = Ownership()
     ownership.reserved = {"input_int_register_0"}
-    client, wire = _client(_controller(), ownership)
+    client, wire = _client(new_controller(), ownership)
     assert _ask(client, wire, _setup_input(b"input_int_register_0")) == b"\x00\x0aI\x00IN_USE"
 
 
 def test_a_data_package_of_the_wrong_length_is_dropped() -> None:
-    controller = _controller()
+    controller = new_controller()
     client, wire = _client(controller)
     client.received(_setup_input(b"input_int_register_0,input_double_register_0"))
     client.received(b"\x00\x08U\x01\x00\x00\x00\x2a")
@@ -182,7 +155,7 @@ def test_a_data_package_of_the_wrong_length_is_dropped() -> None:
 
 
 def test_outputs_are_switched_by_mask_only() -> None:
-    controller = _controller()
+    controller = new_controller()
     client, _ = _client(controller)
     client.received(_setup_input(b"standard_digital_output_mask,standard_digital_output"))
     client.received(_setup_input(b"tool_digital_output_mask,tool_digital_output"))
@@ -199,16 +172,16 @@ def test_outputs_are_switched_by_mask_only() -> None:
 
 @given(st.binary(max_size=200), st.integers(1, 7))
 def test_no_bytes_make_the_server_fail(data: bytes, piece: int) -> None:
-    client, _ = _client(_controller())
+    client, _ = _client(new_controller())
     for start in range(0, len(data), piece):
         client.received(data[start : start + piece])
 
 
 @given(st.lists(st.integers(1, 40), max_size=20))
 def test_messages_may_arrive_in_any_pieces(cuts: list[int]) -> None:
-    client, wire = _client(_controller())
+    client, wire = _client(new_controller())
     stream = V2 + b"\x00\x03v" + _setup_input(b"input_int_register_0,input_int_register_1")
-    whole = _ask(*_client(_controller()), stream)
+    whole = _ask(*_client(new_controller()), stream)
     for cut in cuts:
         client.received(stream[:cut])
         stream = stream[cut:]
@@ -239,7 +212,7 @@ def test_documented_outputs_have_their_documented_type(name: str) -> None:
 
 
 def test_every_output_can_be_packed() -> None:
-    controller = _controller()
+    controller = new_controller()
     controller.tick(0.002)
     names = ",".join(OUTPUTS)
     client, wire = _client(controller)
