@@ -30,7 +30,7 @@ _log = logging.getLogger(__name__)
 
 _RANKED_POINTS = 3000
 _COARSE_POINTS = 600
-_COARSE = IcpSettings(max_iterations=12)
+_COARSE = IcpSettings(max_iterations=20, trims=(1.0,))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

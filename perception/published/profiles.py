@@ -46,7 +46,7 @@ class MethodSettings:
 LITERAL = MethodSettings(
     name="literal",
     keypoints=KeypointSettings(mode="xyz", dist_min=float("inf"), min_clusters=150, min_size=1),
-    icp=IcpSettings(trim=1.0),
+    icp=IcpSettings(trims=(1.0,)),
     feedback=FeedbackSettings(rule="literal_mm", kappa_min=0.0),
     best_of_rounds=False,
 )

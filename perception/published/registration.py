@@ -13,6 +13,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from perception.geometry import Array, Pose
+from perception.published.kdtree_numpy import Indices
 
 
 @dataclass(frozen=True, slots=True)
@@ -20,8 +21,9 @@ class IcpSettings:
     """When keypoint ICP stops and what it trusts."""
 
     max_iterations: int = 50
-    trim: float = 0.8
-    """Share of the closest pairs that are used; 1.0 is plain ICP."""
+    """In each stage."""
+    trims: tuple[float, ...] = (1.0, 0.8)
+    """Share of the closest pairs that each stage uses; 1.0 is plain ICP. All pairs pull further, the best are truer."""
     tolerance: float = 1e-9
     """Relative change of the mean squared residual at which it has converged."""
 
@@ -65,33 +67,53 @@ def keypoint_icp(
     """Closest-point ICP of test keypoints (m, 3) from each start, against a tree of the target's keypoints."""
     settings = settings or IcpSettings()
     goal = np.asarray(target.data)
-    rotation = np.stack([start.rotation for start in starts])
-    translation = np.stack([start.translation for start in starts])
-    n_pairs = int(np.ceil(settings.trim * len(test)))
-    if n_pairs < 4 or len(goal) < 4 or _collinear(test) or _collinear(goal):
+    fewest = int(np.ceil(min(settings.trims) * len(test)))
+    if fewest < 4 or len(goal) < 4 or _collinear(test) or _collinear(goal):
         return [IcpResult(start, float("inf"), 0, False) for start in starts]
-    loss, iterations = np.full(len(starts), np.inf), np.zeros(len(starts), dtype=np.int64)
-    active = np.arange(len(starts))
-    for step in range(settings.max_iterations):
-        moved = test @ np.swapaxes(rotation[active], 1, 2) + translation[active, None]
+    batch = _Batch(
+        np.stack([start.rotation for start in starts]),
+        np.stack([start.translation for start in starts]),
+        np.full(len(starts), np.inf),
+        np.zeros(len(starts), dtype=np.int64),
+    )
+    for trim in settings.trims:
+        _run_stage(test, goal, target, batch, int(np.ceil(trim * len(test))), settings)
+    return [
+        IcpResult(Pose(rotation, translation), float(loss), int(iterations), True)
+        for rotation, translation, loss, iterations in zip(
+            batch.rotation, batch.translation, batch.loss, batch.iterations, strict=True
+        )
+    ]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Batch:
+    """The state of B starts; the arrays are written in place."""
+
+    rotation: Array
+    translation: Array
+    loss: Array
+    iterations: Indices
+
+
+def _run_stage(test: Array, goal: Array, target: cKDTree, batch: _Batch, n_pairs: int, settings: IcpSettings) -> None:
+    """Iterates each start until its loss no longer falls."""
+    batch.loss[:] = np.inf
+    active = np.arange(len(batch.loss))
+    for _ in range(settings.max_iterations):
+        moved = test @ np.swapaxes(batch.rotation[active], 1, 2) + batch.translation[active, None]
         distance, nearest = target.query(moved.reshape(-1, 3))
         distance, nearest = distance.reshape(moved.shape[:2]), nearest.reshape(moved.shape[:2])
         best = np.argpartition(distance, n_pairs - 1, axis=1)[:, :n_pairs]
         now = (np.take_along_axis(distance, best, axis=1) ** 2).mean(axis=1)  # (17)
-        before, loss[active] = loss[active], now
-        going = before - now > settings.tolerance * now
-        if step == 0:
-            going[:] = True
+        before, batch.loss[active] = batch.loss[active], now
+        going = ~(before - now <= settings.tolerance * now)  # the first loss before is infinite
         active, best, nearest = active[going], best[going], nearest[going]
         if len(active) == 0:
             break
         pairs = np.take_along_axis(nearest, best, axis=1)
-        rotation[active], translation[active] = kabsch(test[best], goal[pairs])
-        iterations[active] = step + 1
-    return [
-        IcpResult(Pose(rotation[i], translation[i]), float(loss[i]), int(iterations[i]), True)
-        for i in range(len(starts))
-    ]
+        batch.rotation[active], batch.translation[active] = kabsch(test[best], goal[pairs])
+        batch.iterations[active] += 1
 
 
 def trimmed_distance(points: Array, target: cKDTree, T_target_test: Pose, keep: float = 0.7) -> float:

@@ -1,0 +1,170 @@
+"""Runs the evaluation: trials spread over processes, results appended to one file, taken up again where it stopped.
+
+Every number drawn depends on the seed and the trial alone, so neither the number of processes nor an interruption
+changes a result (times apart).
+"""
+
+from __future__ import annotations
+
+import json
+import logging
+import multiprocessing
+import os
+from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from perception.errors import InputError
+from perception.evaluation import records
+from perception.evaluation.records import MergeRecord, Record, SplitRecord, TrialRecord
+from perception.evaluation.trial_run import Bench, make_bench, run_split_control, run_trial
+from perception.evaluation.trials import ALL_CONDITIONS, COMPLETE, Condition
+from perception.port_shape import PortShape
+
+_log = logging.getLogger(__name__)
+
+RESULTS = "results.jsonl"
+_PLAN = "plan.json"
+_QUICK_INTEGRITIES = (1.00, 0.80, 0.65)
+_QUICK_TRIALS, _QUICK_ROUNDS = 6, 4
+Progress = Callable[[int, int], None]
+"""Called with trials done and trials in all."""
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """What is run. Two runs with equal plans may share a folder."""
+
+    seed: int
+    trials: int
+    conditions: tuple[Condition, ...]
+    ports: tuple[PortShape, PortShape]
+    """The port that the defaults were chosen on, and a second one that they never saw."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Task:
+    """All that one process does in one go: the conditions that share a trial's vehicle."""
+
+    conditions: tuple[Condition, ...]
+    number: int
+    seed: int
+    extras: bool
+    """The split rules and the merge of views too."""
+
+
+def full_plan(ports: tuple[PortShape, PortShape], seed: int, trials: int) -> Plan:
+    """Every figure, table, control and condition."""
+    return Plan(seed, trials, ALL_CONDITIONS, ports)
+
+
+def quick_plan(ports: tuple[PortShape, PortShape], seed: int) -> Plan:
+    """A look at every figure within three minutes: few trials and rounds, three integrities, no controls."""
+    conditions = tuple(
+        replace(c, rounds=min(c.rounds, _QUICK_ROUNDS), runs=("always", "yardsticks") if c == COMPLETE else ("always",))
+        for c in ALL_CONDITIONS
+        if c.integrity in _QUICK_INTEGRITIES
+    )
+    return Plan(seed, _QUICK_TRIALS, conditions, ports)
+
+
+def run(plan: Plan, out: Path, jobs: int, progress: Progress) -> list[Record]:
+    """Runs what is missing in ``out`` and returns every result, sorted. Raises InputError for another plan's folder."""
+    out.mkdir(parents=True, exist_ok=True)
+    _check_plan(plan, out / _PLAN)
+    path = out / RESULTS
+    tasks = list(_missing(plan, records.read(path)))
+    total = sum(len(task.conditions) for task in _all_tasks(plan))
+    done = total - sum(len(task.conditions) for task in tasks)
+    progress(done, total)
+    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+        os.environ[name] = "1"  # one core for each process, so that milliseconds are those of one core
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(jobs, context, _start_worker, (plan.ports,)) as pool:
+        for future in as_completed([pool.submit(_work, task) for task in tasks]):
+            conditions, found = future.result()
+            records.append(path, found)
+            done += conditions
+            progress(done, total)
+    return _sorted(plan, records.read(path))
+
+
+def _all_tasks(plan: Plan) -> list[_Task]:
+    """Trial by trial, so that a run that is stopped early has about as many trials in every cell."""
+    groups: dict[tuple[object, ...], list[Condition]] = {}
+    for condition in plan.conditions:
+        same_scan = condition.noise_mm, condition.outliers, condition.single_view, condition.second_port
+        groups.setdefault(same_scan, []).append(condition)
+    return [
+        _Task(tuple(group), number, plan.seed, extras=COMPLETE.name in {c.name for c in group})
+        for number in range(plan.trials)
+        for group in groups.values()
+    ]
+
+
+def _missing(plan: Plan, known: list[Record]) -> list[_Task]:
+    have = {(r.condition, r.trial) for r in known if isinstance(r, TrialRecord)}
+    tasks = []
+    for task in _all_tasks(plan):
+        left = tuple(c for c in task.conditions if (c.name, task.number) not in have)
+        if left:
+            complete_left = any(c.name == COMPLETE.name for c in left)
+            tasks.append(replace(task, conditions=left, extras=task.extras and complete_left))
+    return tasks
+
+
+def _sorted(plan: Plan, found: list[Record]) -> list[Record]:
+    """Results of this plan in an order that does not depend on which process was faster; of repeated ones the last."""
+    unique: dict[tuple[str, ...], Record] = {}
+    for record in found:
+        unique[_key(record)] = record
+    return [unique[key] for key in sorted(unique)]
+
+
+def _key(record: Record) -> tuple[str, ...]:
+    if isinstance(record, TrialRecord):
+        return "trial", record.condition, f"{record.trial:06d}", record.method
+    if isinstance(record, SplitRecord):
+        return "split", f"{record.trial:06d}", record.rule
+    return "merge", f"{record.trial:06d}", record.step, f"{record.view:03d}"
+
+
+def _check_plan(plan: Plan, path: Path) -> None:
+    names = sorted(f"{c.name}, {c.rounds} rounds, {'+'.join(c.runs)}" for c in plan.conditions)
+    text = json.dumps({"seed": plan.seed, "conditions": names, "ports": [p.name for p in plan.ports]}, indent=1)
+    if not path.exists():
+        path.write_text(text + "\n", "utf-8")
+    elif path.read_text("utf-8").strip() != text:
+        raise InputError(
+            f"{path.parent} holds the results of a run with another seed or other conditions",
+            remedy="Give another --out folder, or the options of that run to take it up again.",
+        )
+
+
+_benches: dict[bool, Bench] = {}
+"""Of this worker process: prepared once, by port."""
+_ports: list[PortShape] = []
+
+
+def _start_worker(ports: tuple[PortShape, PortShape]) -> None:
+    _ports[:] = ports
+    logging.getLogger("perception.published.pipeline").setLevel(logging.ERROR)  # (18) collapses in every trial
+
+
+def _bench(second: bool) -> Bench:
+    if second not in _benches:
+        _benches[second] = make_bench(_ports[int(second)])
+    return _benches[second]
+
+
+def _work(task: _Task) -> tuple[int, list[Record]]:
+    found: list[Record] = []
+    for condition in task.conditions:
+        found += run_trial(_bench(condition.second_port), condition, task.seed, task.number)
+    if task.extras:
+        found += run_split_control(_bench(False), COMPLETE, task.seed, task.number)
+    return len(task.conditions), found
+
+
+__all__ = ["RESULTS", "MergeRecord", "Plan", "full_plan", "quick_plan", "run"]
