@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import logging
+import warnings
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
@@ -69,7 +70,9 @@ def _read_ply(data: bytes) -> tuple[Array, Array | None]:
 
 def _read_xyz(data: bytes) -> tuple[Array, Array | None]:
     text = data.decode("utf-8", "strict").replace(",", " ").replace(";", " ")
-    table = np.loadtxt(io.StringIO(text), comments=("#", "//"), ndmin=2)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)  # an empty file is told as too few points, by the caller
+        table = np.loadtxt(io.StringIO(text), comments=("#", "//"), ndmin=2)
     if table.size and table.shape[1] < 3:
         raise ValueError("each line needs x y z")
     return table[:, :3].astype(np.float64) if table.size else np.empty((0, 3)), None

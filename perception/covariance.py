@@ -1,8 +1,8 @@
 """How far the pose may be off: from the geometry of the points and from how the residuals hang together.
 
 Point noise alone gives inv(H). What vibration, speed errors and the part's own tolerances add is not independent from
-point to point, and shows as residuals that agree within a neighbourhood. The sandwich estimator with one cluster for each
-patch of surface (Liang and Zeger, Biometrika 73, 1986) counts each patch as one observation.
+point to point, and shows as residuals that agree within a neighbourhood. The sandwich estimator with one cluster for
+each patch of surface (Liang and Zeger, Biometrika 73, 1986) counts each patch as one observation.
 """
 
 from __future__ import annotations

@@ -40,7 +40,7 @@ class Surface:
     area_m2: Array
     """(M,) the area that each sample stands for."""
     level: Array
-    """(M,) number of the flat that faces along the axis which the sample belongs to; 0 on the rim plane and off flats."""
+    """(M,) number of the flat, facing along the axis, that the sample is on; 0 on the rim plane and off flats."""
 
     def __len__(self) -> int:
         return len(self.points)
