@@ -35,11 +35,6 @@ class PacedWire:
         """Queue ``data`` for the line; the first bit leaves no earlier than ``not_before_s``."""
         self._pending.append((not_before_s, data))
 
-    def clear(self) -> None:
-        """Forget what has not left yet."""
-        self._pending.clear()
-        self._offset = 0
-
     @property
     def idle(self) -> bool:
         """Nothing waits to be sent."""
@@ -47,6 +42,14 @@ class PacedWire:
 
     def _baud(self) -> int:
         return self._line.client_baud() if self._line.plugged_in else (self._device_baud or FALLBACK_BAUD)
+
+    def backlog_s(self, now_s: float) -> float:
+        """For how long from now the line is busy with what it was given."""
+        if not self._pending:
+            return 0.0
+        waiting = sum(len(data) for _, data in self._pending)
+        byte_s = 10.0 / (self._device_baud or max(self._baud(), 1))
+        return max(self._began_s, self._pending[0][0]) + waiting * byte_s - now_s
 
     def pump(self, now_s: float) -> None:
         """Put on the line what is due at ``now_s``."""

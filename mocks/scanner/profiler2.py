@@ -9,13 +9,16 @@ trigger input.
 from __future__ import annotations
 
 import struct
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from mocks.scanner.emulated_clock import EmulatedClock
 from mocks.scanner.paced_wire import PacedWire
 from mocks.scanner.sources import Source
-from perception.geometry import Array
+
+if TYPE_CHECKING:  # SciPy behind it would double the time that a mock takes to come up
+    from perception.geometry import Array
 
 ADDRESS = 0x03062000
 POINTS = 832

@@ -7,11 +7,12 @@ arrays in it (poses, times, points) are for other readers.
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
-from perception.geometry import Array
+if TYPE_CHECKING:  # SciPy behind it would double the time that a mock takes to come up
+    from perception.geometry import Array
 
 
 class Source(Protocol):

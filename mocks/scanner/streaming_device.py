@@ -20,6 +20,8 @@ from mocks.scanner.sources import Source
 
 MAX_LAG_S = 20.0
 """A computer too slow for the world's pace makes profiles late; this late, in emulated time, they are skipped."""
+MAX_BACKLOG_S = 0.2
+"""The device's transmit buffer, as time on the line: on a line too slow for its rate, profiles are lost, and show."""
 FINISH_WALL_S = 0.3
 """How long after laser-off profiles that were exposed before it may still be computed."""
 POLL_S = 0.001
@@ -86,7 +88,10 @@ class StreamingDevice:
         finished = self._optics is None or not self._optics.is_alive()
         while not self._frames.empty():
             ready_s, frame = self._frames.get_nowait()
-            self._wire.send(frame, ready_s)
+            if self._wire.backlog_s(self._clock.now_s()) > MAX_BACKLOG_S:
+                self.skipped += 1
+            else:
+                self._wire.send(frame, ready_s)
         if finished:
             self._optics = None
             for answer in self._late_answers:

@@ -8,10 +8,12 @@ from __future__ import annotations
 
 import struct
 import zlib
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from perception.geometry import Array
+if TYPE_CHECKING:  # SciPy behind it would double the time that a mock takes to come up
+    from perception.geometry import Array
 
 POINTS = 1000
 NO_MEASUREMENT = 0xFFFF
