@@ -15,9 +15,12 @@ from scipy.spatial import cKDTree
 from controller import recording_schemas as schemas
 from controller.recording_reader import Recording
 from controller.recording_values import Located
+from perception.estimate import PortEstimate
 from perception.geometry import Array, Pose
 
 MODEL_ATTACHMENT = "model_points.npz"
+AROUND_M = 0.010
+"""So much of the scan around the model's bounds is shown."""
 NEAR_MODEL_M = 0.002
 """Scan points farther than this from every model point belong to something else."""
 _NORMAL_NEIGHBOURS = 10
@@ -52,9 +55,9 @@ class InsertionTrace:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Alignment:
-    """The last scan and the model, both in the port frame of the last estimate."""
+    """A scan and the model, both in the port frame of an estimate."""
 
-    located: Located
+    estimate: PortEstimate
     scan: Array
     """(N, 3) m, cropped to the model's surroundings."""
     model: Array
@@ -116,11 +119,14 @@ def alignment(recording: Recording) -> Alignment | None:
     if model is None or not usable:
         return None
     located, points = usable[-1]
-    seen = located.estimate.T_ref_port.inverse().apply(points)
-    margin = 0.010
-    inside = ((seen > model.min(axis=0) - margin) & (seen < model.max(axis=0) + margin)).all(axis=1)
-    scan = seen[inside]
-    return Alignment(located, scan, model, surface_distance(scan, model))
+    return aligned(located.estimate, points, model)
+
+
+def aligned(estimate: PortEstimate, points: Array, model: Array) -> Alignment:
+    """Scan points (N, 3) in the estimate's frame and model points (M, 3) in the port frame, brought together."""
+    seen = estimate.T_ref_port.inverse().apply(points)
+    inside = ((seen > model.min(axis=0) - AROUND_M) & (seen < model.max(axis=0) + AROUND_M)).all(axis=1)
+    return Alignment(estimate, seen[inside], model, surface_distance(seen[inside], model))
 
 
 def model_points(recording: Recording) -> Array | None:
@@ -194,3 +200,8 @@ def place_of(T_ref_port: Pose) -> str:
     x, y, z = (1e3 * T_ref_port.translation).tolist()
     a, b, c = np.rad2deg(T_ref_port.rotvec).tolist()
     return f"({x:.1f}, {y:.1f}, {z:.1f}) mm, ({a:.2f}, {b:.2f}, {c:.2f})°"
+
+
+def sigma(block: Array) -> float:
+    """Standard deviation of three coordinates together, from their (3, 3) covariance."""
+    return float(np.sqrt(max(np.trace(block), 0.0)))

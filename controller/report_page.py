@@ -6,14 +6,12 @@ from collections import Counter
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 
-import numpy as np
 import yaml
 
 from controller.recording_reader import Recording
 from controller.recording_values import Contacted, Decision, LinkReport, Located
-from controller.report_facts import Alignment, StateSpan, place_of, start_time_s
+from controller.report_facts import Alignment, StateSpan, place_of, sigma, start_time_s
 from controller.summary import MissionSummary
-from perception.geometry import Array
 
 GREEN, AMBER, RED, GREY = "#26734d", "#b26a00", "#b3372b", "#56616d"
 # outcome -> headline, what it means, colour
@@ -243,7 +241,7 @@ def _tiles(summary: MissionSummary | None, estimates: list[Located]) -> tuple[Ti
 def _estimated_pose(view: Alignment | None) -> str:
     if view is None:
         return ""
-    estimate = view.located.estimate
+    estimate = view.estimate
     verdict = "accepted" if estimate.accepted else "refused"
     return f"T_{estimate.ref}_port = {place_of(estimate.T_ref_port)}, {verdict}."
 
@@ -257,15 +255,10 @@ def _estimate_row(located: Located, start_s: float) -> EstimateRow:
         rms=f"{1e3 * e.rms_residual_m:.2f} mm",
         seen=f"{100 * e.inlier_ratio:.0f} %",
         margin=f"{e.runner_up_margin:.2f}",
-        sigma=f"{1e3 * _sigma_m(e.covariance):.3f} mm",
+        sigma=f"{1e3 * sigma(e.covariance[:3, :3]):.3f} mm",
         took=f"{e.elapsed_s:.2f} s",
         reasons=e.reasons,
     )
-
-
-def _sigma_m(covariance: Array) -> float:
-    """Standard deviation of the position, all three axes together."""
-    return float(np.sqrt(max(np.trace(covariance[:3, :3]), 0.0)))
 
 
 def _contact_row(contacted: Contacted) -> ContactRow:

@@ -9,14 +9,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from controller.locate_report import write_report as write_locate_report
 from controller.recorder import Recorder
 from controller.recording_errors import RecordingFileError
 from controller.recording_reader import read_recording
-from controller.report import ReportError, render_report, write_report
+from controller.report import render_report, write_report
 from controller.report_facts import alignment, insertion_traces, state_spans, surface_distance
+from controller.report_html import ReportError
 from controller.summary import LocateSummary, MissionSummary
 from drivers.base import LinkHealth
+from perception.estimate import Prior
 from perception.geometry import Pose
+from perception.port_model import PortModel
+from perception.scan import Cloud
 from tests.unit.recording_samples import (
     T_BASE_PORT,
     ManualClock,
@@ -243,3 +248,46 @@ def test_an_unreadable_model_costs_only_its_picture(tmp_path: Path, broken: byte
     recording = read_recording(tmp_path / "m.mcap")
     assert alignment(recording) is None
     assert "What the locator said" in render_report(recording)
+
+
+def test_one_located_scan_has_a_page_of_its_own(tmp_path: Path) -> None:
+    points = model_points()
+    model = PortModel.from_mesh("square", *_square())
+    cloud = Cloud(T_BASE_PORT.apply(points), "scanner")
+    prior = Prior(T_BASE_PORT @ Pose.from_vector([0.003, 0.004, 0, 0, 0, 0]))
+    found = replace(estimate(accepted=False, reasons=("too <few> points",)), ref="scanner", verdict="uncertain")
+    page = Page(write_locate_report(tmp_path / "r" / "one.html", "one.ply", cloud, model, found, prior).read_text())
+    for fact in (
+        "Refused: uncertain",
+        "one.ply · port ccs2 · 0.31 s",
+        "too <few> points",
+        "0.210 mm rms residual",
+        "offset from the prior 5.0 mm, 0.0°",
+        "time: refine 0.200 s",
+        "not a safety function",
+    ):
+        assert fact in page.text, fact
+    assert len(page.addresses) == 2
+    assert all(address.startswith("data:image/png;base64,") for address in page.addresses)
+    assert page.open == []
+
+
+def test_a_scan_where_nothing_was_found_still_has_a_page(tmp_path: Path) -> None:
+    nothing = replace(
+        estimate(accepted=False, reasons=("no port",)),
+        T_ref_port=Pose.from_vector([9.0, 0, 0, 0, 0, 0]),
+        rms_residual_m=float("nan"),
+        covariance=np.full((6, 6), np.inf),
+        verdict="no-port",
+    )
+    model = PortModel.from_mesh("square", *_square())
+    path = write_locate_report(tmp_path / "one.html", "one.ply", Cloud(model_points()), model, nothing, None)
+    assert "unknown mm rms residual" in Page(path.read_text()).text
+
+
+def _square() -> tuple[np.ndarray, np.ndarray]:
+    """A plate of 60 mm with a step in it, enough for a port model: vertices (N, 3) m and faces (M, 3)."""
+    corners = np.array([[-0.03, -0.03, 0], [0.03, -0.03, 0], [0.03, 0.03, 0], [-0.03, 0.03, 0]])
+    raised = 0.4 * corners + [0, 0, 0.01]
+    faces = [[0, 1, 2], [0, 2, 3], [4, 5, 6], [4, 6, 7]]
+    return np.concatenate([corners, raised]), np.array(faces)
