@@ -211,8 +211,10 @@ class Controller:
             self.stop_program()
 
     def unlock_protective_stop(self) -> bool:
-        """Release it; refused within five seconds of the stop."""
-        if self.safety.mode != Safety.PROTECTIVE_STOP or self.time_s - self.safety.since_s < UNLOCK_AFTER_S:
+        """Release it; refused within five seconds of the stop, without effect when there is none."""
+        if self.safety.mode != Safety.PROTECTIVE_STOP:
+            return True
+        if self.time_s - self.safety.since_s < UNLOCK_AFTER_S:
             return False
         self._enter(Safety.NORMAL)
         if self.runtime_state == RuntimeState.STOPPED:

@@ -137,6 +137,26 @@ def test_a_plain_panel_has_nothing_to_enter() -> None:
     assert told.depth_m < 0.006
 
 
+@pytest.mark.parametrize(
+    ("lateral_mm", "tilt_deg", "roll_deg", "outcome"),
+    [
+        (0.0, 0.0, 0.0, "mates"),
+        (2.4, 2.4, 2.9, "mates"),
+        (2.6, 0.0, 0.0, "blocked"),
+        (0.0, 2.6, 0.0, "blocked"),
+        (0.0, 0.0, 3.1, "blocked"),
+        (0.0, 0.0, -3.1, "blocked"),
+    ],
+)
+def test_each_kind_of_misalignment_has_its_own_limit(
+    lateral_mm: float, tilt_deg: float, roll_deg: float, outcome: contact.Outcome
+) -> None:
+    start = _plug(-0.001, (0.0, lateral_mm / 1000), (0.0, math.radians(tilt_deg), math.radians(roll_deg)))
+    told, _ = _insert_with_compliance(start, PORT)
+    assert told.seated == (outcome == "mates")
+    assert contact.predict_outcome(start, PORT) == outcome
+
+
 @settings(max_examples=25, deadline=None)
 @given(
     st.floats(0.0, 0.005), st.floats(0.0, 2 * math.pi), st.floats(-0.08, 0.08), st.floats(-0.08, 0.08),

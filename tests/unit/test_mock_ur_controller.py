@@ -246,6 +246,14 @@ def test_stopping_the_program_before_the_unlock_forgets_the_old_motion() -> None
     assert controller.arm.q == pytest.approx(held)
 
 
+def test_unlocking_releases_no_other_stop() -> None:
+    controller = new_controller()
+    controller.emergency_stop()
+    run(controller, 6.0)
+    assert controller.unlock_protective_stop()
+    assert controller.safety.mode == Safety.ROBOT_EMERGENCY_STOP
+
+
 def test_an_emergency_stop_ends_the_program_and_needs_power_afterwards() -> None:
     controller = new_controller()
     _send(controller, FAR)

@@ -107,6 +107,10 @@ def test_in_local_mode_the_dashboard_moves_nothing(tmp_path: Path) -> None:
     controller.remote = False
     assert ask("is in remote control") == "false"
     assert ask("play") == "Failed to execute: play" and controller.runtime_state == RuntimeState.STOPPED
+    controller.remote = True
+    assert ask("play") == "Starting program" and ask("pause") == "Pausing program"
+    controller.remote = False
+    assert ask("play") == "Failed to execute: play" and controller.runtime_state == RuntimeState.PAUSED
 
 
 # --- primary port -----------------------------------------------------------------------------------------------------
