@@ -110,7 +110,7 @@ def _parser() -> argparse.ArgumentParser:
     add("--jitter-s", type=float, default=0.0, help="further delay of each frame, uniform up to this")
     add("--clock-offset-s", type=float, default=100.0)
     add("--drift-ppm", type=float, default=0.0)
-    add("--buffer-bytes", type=int, default=65536, help="what the client's UART and kernel hold before bytes are lost")
+    add("--buffer-bytes", type=int, default=1 << 20, help="what gateway and client hold before bytes are lost")
     add("--reference-m", type=float, default=0.10, help="profiler2: distance at which Y is 0")
     add("--address-in-words", action="store_true", help="profiler2: addresses count words, not bytes")
     add("--lost", type=float, default=0.0, help="fault: probability that a byte is lost")
