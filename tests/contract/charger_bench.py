@@ -35,12 +35,14 @@ class FrameLog(NullSink):
 
 
 class MockProcess:
-    """``python -m mocks.charger`` on a pty behind a symlink."""
+    """``python -m mocks.charger`` on a pty behind a symlink, or on a bus of python-can."""
 
-    def __init__(self, folder: Path, *options: str, taps: int = 0) -> None:
+    def __init__(self, folder: Path, *options: str, taps: int = 0, on: tuple[str, str] | None = None) -> None:
         self.link = folder / "can0"
         self.taps = [folder / f"tap{k}" for k in range(taps)]
         links = [f"--link={link}" for link in (self.link, *self.taps)]
+        if on is not None:
+            links = [f"--interface={on[0]}", f"--channel={on[1]}"]
         self._process = subprocess.Popen(
             [sys.executable, "-m", "mocks.charger", *links, *options],
             stdin=subprocess.PIPE,
@@ -75,7 +77,7 @@ class Bench:
         settings = {"degraded_s": 0.6 * PATIENT_S, "lost_s": PATIENT_S, "sleep_after_open_s": 0.02} | settings
         self.mock = mock
         self.log = FrameLog()
-        self.settings = CanSettings(channel=str(self.mock.link), **settings)
+        self.settings = CanSettings(interface=mock.says["interface"], channel=mock.says["channel"], **settings)
         self.charger = CanCharger(self.settings, MonotonicClock(), self.log)
         self.flags = ESTOP_OK | HOLDS_PLUG
         self.beating = True
