@@ -20,7 +20,7 @@ logger = logging.getLogger(__name__)
 class FramedTimeouts:
     """Wall-clock bounds of the driver's waits."""
 
-    ack_s: float = 0.5
+    ack_s: float = 1.5
     """For the device's answer to start and stop; the command is sent ``attempts`` times."""
     attempts: int = 3
     silence_s: float = 1.0
