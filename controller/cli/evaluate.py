@@ -1,4 +1,4 @@
-"""``portdock evaluate method``: the published method's figures and table, regenerated with our numbers beside its own."""
+"""``portdock evaluate method``: the published method's figures and table, ours beside the paper's."""
 
 from __future__ import annotations
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from time import perf_counter
+from time import perf_counter, process_time
 from typing import Literal
 
 import numpy as np
@@ -48,24 +48,25 @@ def published(settings: MethodSettings, *, rounds: int | None = None) -> Callabl
 
         def solve(problem: Problem) -> Outcome:
             feedback = replace(settings.feedback, max_rounds=rounds or problem.rounds, stop_early=False)
-            begun = perf_counter()
+            wall, cpu = perf_counter(), process_time()
             rng = np.random.default_rng(problem.seed)
             answer = register(problem.test, prepared, replace(settings, feedback=feedback), rng)
-            return _iterates(answer, perf_counter() - begun, settings.best_of_rounds)
+            wall, cpu = perf_counter() - wall, process_time() - cpu
+            return _iterates(answer, wall, cpu / wall, settings.best_of_rounds)
 
         return solve
 
     return build
 
 
-def _iterates(answer: Registration, total_s: float, best_of_rounds: bool) -> Outcome:
-    """One iterate a round, with the scan as cleaned in the round that is returned."""
+def _iterates(answer: Registration, total_s: float, load: float, best_of_rounds: bool) -> Outcome:
+    """One iterate a round, with the scan as cleaned in the round returned. ``load`` turns wall into processor time."""
     preparation = total_s - sum(done.elapsed_s for done in answer.rounds)
     iterates, best = [], answer.rounds[0]
     for k, done in enumerate(answer.rounds):
         if done.score_mm2 < best.score_mm2 or not best_of_rounds:
             best = done
-        elapsed = done.elapsed_s + (preparation if k == 0 else 0.0)
+        elapsed = load * (done.elapsed_s + (preparation if k == 0 else 0.0))
         iterates.append(Iterate(done.T_target_test_so_far, best.kept, elapsed))
     return tuple(iterates)
 

@@ -30,7 +30,7 @@ class Iterate:
     kept: Mask | None
     """(N,) the cleaned scan, None where the method cleans nothing."""
     elapsed_s: float
-    """Time of this registration alone; the first holds the preparation of the scan too."""
+    """Processor time of this registration alone; the first holds the preparation of the scan too."""
 
 
 Outcome = tuple[Iterate, ...]

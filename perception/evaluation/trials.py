@@ -30,7 +30,7 @@ _PANEL_BEND_M = 0.0004
 
 
 Occasion = Literal["always", "yardsticks", "starts", "feedback", "controls"]
-"""Every condition; where the users' yardsticks, several starts for all, feedback's controls, or all controls are run."""
+"""Every condition; where the users' yardsticks, several starts for all, feedback's or all controls are run."""
 
 
 @dataclass(frozen=True, slots=True)

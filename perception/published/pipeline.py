@@ -171,7 +171,8 @@ def _align(state: _State, keypoints: Keypoints) -> IcpResult:
     if not state.settings.many_starts or state.rounds:
         return keypoint_icp(keypoints.points, tree, [state.pose], icp)[0]
     starts = start_poses(state.points[state.tree.kept], state.target.points, state.pose)
-    coarse = [result for result in keypoint_icp(keypoints.points, tree, starts, _COARSE) if result.valid]
+    every_second = keypoints.points[::2]  # neighbours in the list are neighbours in space
+    coarse = [result for result in keypoint_icp(every_second, tree, starts, _COARSE) if result.valid]
     if not coarse:
         return keypoint_icp(keypoints.points, tree, [state.pose], icp)[0]
     sample = dense.subset(state.ranked, _COARSE_POINTS)
