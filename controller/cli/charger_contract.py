@@ -41,6 +41,7 @@ class MessageRow:
     degraded: str
     lost: str
     data_id: str
+    length: int
     comment: str
     signals: list[SignalRow]
 
@@ -49,7 +50,7 @@ def describe(dbc: Path | None = None) -> str:
     """The contract as Markdown. Raises InputError for a file that cannot be read as a DBC."""
     folder = importlib.resources.files("config") / "dbc"
     path = dbc or Path(str(folder / "portdock.dbc"))
-    database = _load(path)
+    database, fd = _load(path), _load(Path(str(folder / "portdock_fd.dbc")))
     rows = [_message(message) for message in database.messages]
     per_second = sum(1000 // row.cycle_ms for row in rows if row.cycle_ms)
     bit_rate = int(_attribute(database, "Baudrate") or 250_000)
@@ -60,7 +61,12 @@ def describe(dbc: Path | None = None) -> str:
         bit_rate=bit_rate,
         frames_per_second=per_second,
         load_percent=100.0 * per_second * _LONGEST_FRAME_BITS / bit_rate,
+        is_fd=any(message.is_fd for message in database.messages),
         messages=rows,
+        fd_messages=[_message(message) for message in fd.messages],
+        fd_pose=_message(fd.get_message_by_name("RC_DockPose")),
+        fd_bit_rate=int(_attribute(fd, "Baudrate")),
+        fd_data_rate=int(_attribute(fd, "DataBaudrate")),
     )
 
 
@@ -84,6 +90,7 @@ def _message(message: Any) -> MessageRow:
         degraded=_milliseconds(_attribute(message, "TimeoutDegradedMs")),
         lost=_milliseconds(_attribute(message, "TimeoutLostMs")),
         data_id="" if data_id is None else f"0x{data_id:04X}",
+        length=message.length,
         comment=message.comment or "",
         signals=[_signal(signal) for signal in message.signals],
     )
@@ -98,7 +105,7 @@ def _signal(signal: Any) -> SignalRow:
         type="signed" if signal.is_signed else "unsigned",
         scale=scale if scale != "1" else "",
         unit=signal.unit or "",
-        range=f"{signal.minimum:g} to {signal.maximum:g}",
+        range=f"{signal.minimum:.10g} to {signal.maximum:.10g}",
         meaning=_meaning(signal),
     )
 

@@ -16,6 +16,7 @@ from drivers.base import ChargerRequest, ChargerState, Pilot, PlugLock, Proximit
 from drivers.charger.contract import BEAT_SIGNALS, CHARGER_SIGNALS, THREE_FRAMES, bundled_dbc
 from perception.errors import InputError
 from tests.unit.charger_frames import FRAMES
+from tests.unit.test_charger_fd import HEARTBEAT, POSE, STATUS
 
 DATABASE: Any = cantools.database.load_file(bundled_dbc(), strict=True)
 
@@ -142,6 +143,12 @@ def test_the_page_names_every_signal_and_carries_the_test_vectors() -> None:
         for signal in message.signals:
             assert f"| {signal.name} | {signal.start}\\|{signal.length} |" in section
         assert f"| {message.name} | `{FRAMES[message.name][1]}` |" in page
+
+
+def test_the_page_carries_the_vectors_of_can_fd() -> None:
+    page = PAGE.read_text()
+    for literal in (HEARTBEAT, POSE, STATUS):
+        assert f"`{literal.hex(' ').upper()}`" in page
 
 
 def test_another_dbc_is_described_and_a_missing_one_named(tmp_path: Path) -> None:
