@@ -13,11 +13,11 @@ import typer
 
 from controller.cli.progress import make_display
 from controller.config import ConfigError, SiteConfig, load_config
+from controller.mock_cell import MockCell
 from controller.port_files import load_port
 from controller.scenarios import SCENARIOS, draw_scenario
 from controller.session import run_session
 from controller.summary import MissionSummary
-from controller.wiring import MockCell
 
 FAST_FACTOR = 4.0
 """Emulated seconds per wall second with --fast."""

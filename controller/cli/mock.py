@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import typer
 
-from controller.wiring import run_mock
+from controller.mock_cell import run_mock
 
 app = typer.Typer(help="Start one mock device in the foreground; prints where it listens.", no_args_is_help=True)
 

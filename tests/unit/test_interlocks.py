@@ -1,4 +1,4 @@
-"""What the supervisor's tick decides: which fault trips, in which states, and what only pauses."""
+"""What the interlocks decide at each tick: which fault trips, in which states, and what only pauses."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from controller.faults import FaultCode
+from controller.interlocks import MOVING_STATES, PAUSABLE_STATES, STALL_S, Snapshot, assess, pause_reason
 from controller.states import State
-from controller.supervisor import MOVING_STATES, PAUSABLE_STATES, STALL_S, Snapshot, assess, pause_reason
 from drivers.base import ArmState, ChargerState, ChargerStatus, Pilot, PlugLock, Proximity, RobotMode, SafetyMode
 from perception.geometry import Pose
 

@@ -1,0 +1,170 @@
+"""The mock cell: three mock devices, each a process at the far end of its wire. Composition root of the dry run."""
+
+from __future__ import annotations
+
+import json
+import os
+import selectors
+import socket
+import subprocess
+import sys
+import time
+from pathlib import Path
+from types import TracebackType
+
+from controller.config import SiteConfig
+from controller.port_files import load_port
+from controller.scenarios import Scenario
+from drivers.base import LinkOpenError
+from mocks.world.blackboard import Blackboard
+from mocks.world.spec import WorldSpec
+from perception.geometry import Pose
+
+MOCK_START_S = 60.0
+HOME_JOINTS = (2.8, -1.8, 1.8, -0.2, 1.5, 2.9)
+"""Where the mock arm stands at first: beside the staging pose, rad."""
+
+
+class MockCell:
+    """Three mock devices, each a process at the far end of its wire. ``config`` names their addresses."""
+
+    def __init__(self, folder: Path, config: SiteConfig, scenario: Scenario, seed: int, time_scale: float) -> None:
+        self._folder = folder
+        self._base = config
+        self._scenario = scenario
+        self._seed = seed
+        self._time_scale = time_scale
+        self._processes: list[subprocess.Popen[str]] = []
+        self.config = config
+
+    def __enter__(self) -> MockCell:
+        """Start all three. Raises LinkOpenError when one does not come up."""
+        self._folder.mkdir(parents=True, exist_ok=True)
+        world, port = self._world(), load_port(self._base.port.model)
+        world.save(self._folder)
+        world.save_shape(self._folder, port.shape)
+        Blackboard.create(self._folder, self._time_scale).close()
+        host = free_loopback()
+        folder = ["--world", str(self._folder)]
+        scanner, can = str(self._folder / "scanner"), str(self._folder / "can")
+        try:
+            self._start("ur", [*folder, "--host", host, "--rate", str(self._base.arm.frequency_hz)])
+            self._start("scanner", [*folder, "--link", scanner, "--source", "world", "--seed", str(self._seed)])
+            self._start("charger", [*folder, "--link", can, "--lost-ms", f"{self._base.charger.lost_ms:g}"])
+            for process in self._processes:
+                _await_ready(process)
+        except BaseException:
+            self._stop()
+            raise
+        self.config = self._base.model_copy(
+            update={
+                "arm": self._base.arm.model_copy(update={"host": host}),
+                "scanner": self._base.scanner.model_copy(update={"device": scanner}),
+                "charger": self._base.charger.model_copy(update={"interface": "slcan", "channel": can}),
+            }
+        )
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._stop()
+
+    def _world(self) -> WorldSpec:
+        config, port = self._base, load_port(self._base.port.model)
+        return WorldSpec(
+            seed=self._seed,
+            port=port.name,
+            T_base_port=_vector(self._scenario.T_base_port),
+            T_flange_scanner=_vector(config.scanner.T_flange_scanner.pose),
+            T_flange_tcp=_vector(config.arm.T_flange_tcp.pose),
+            T_port_tcp=_vector(port.T_port_tcp),
+            panel="plain" if self._scenario.plain_panel else "port",
+            glare_until_sweep=self._scenario.glare_until_sweep,
+            blocked_depth_m=self._scenario.blocked_depth_m,
+            time_scale=self._time_scale,
+            arm_model=config.arm.model,
+            start_joints=HOME_JOINTS,
+        )
+
+    def _start(self, name: str, arguments: list[str]) -> None:
+        log = (self._folder / f"mock-{name}.log").open("w", encoding="utf-8")
+        with log:
+            self._processes.append(
+                subprocess.Popen(
+                    [sys.executable, "-m", "mocks", name, *arguments],
+                    stdin=subprocess.DEVNULL,
+                    stdout=subprocess.PIPE,
+                    stderr=log,
+                    text=True,
+                    cwd=self._folder,
+                )
+            )
+
+    def _stop(self) -> None:
+        for process in self._processes:
+            process.terminate()
+        for process in self._processes:
+            try:
+                process.wait(timeout=5.0)
+            except subprocess.TimeoutExpired:
+                process.kill()
+                process.wait()
+            if process.stdout is not None:
+                process.stdout.close()
+        self._processes.clear()
+
+
+def mock_command(name: str, arguments: list[str]) -> list[str]:
+    """The command line of one mock process: ``ur``, ``scanner`` or ``charger``."""
+    return [sys.executable, "-m", f"mocks.{name}", *arguments]
+
+
+def run_mock(name: str, arguments: list[str]) -> None:
+    """Become a mock process in the foreground; does not return."""
+    command = mock_command(name, arguments)
+    os.execv(command[0], command)
+
+
+def free_loopback(ports: tuple[int, ...] = (29999, 30001, 30003, 30004)) -> str:
+    """A loopback address on which a mock controller's fixed ports are free. Raises LinkOpenError."""
+    start = os.getpid() % 200
+    for k in range(200):
+        host = f"127.0.{1 + (start + k) // 200}.{2 + (start + k) % 200}"
+        if all(_free(host, port) for port in ports):
+            return host
+    raise LinkOpenError("no loopback address has the robot's ports free", remedy="Stop other mock controllers.")
+
+
+def _free(host: str, port: int) -> bool:
+    with socket.socket() as probe:
+        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            probe.bind((host, port))
+        except OSError:
+            return False
+        return True
+
+
+def _await_ready(process: subprocess.Popen[str]) -> dict[str, object]:
+    """The JSON line that a mock prints when it listens. Raises LinkOpenError."""
+    assert process.stdout is not None
+    end_s = time.monotonic() + MOCK_START_S
+    with selectors.DefaultSelector() as selector:
+        selector.register(process.stdout, selectors.EVENT_READ)
+        while time.monotonic() < end_s:
+            if selector.select(timeout=0.2):
+                line = process.stdout.readline()
+                if line:
+                    values: dict[str, object] = json.loads(line)
+                    return values
+                break
+            if process.poll() is not None:
+                break
+    name = process.args[3] if isinstance(process.args, list) else "a mock"
+    raise LinkOpenError(f"the mock {name} did not start", remedy="See its log (mock-*.log) in the run's folder.")
+
+
+def _vector(pose: Pose) -> tuple[float, float, float, float, float, float]:
+    x, y, z, rx, ry, rz = (float(v) for v in pose.vector)
+    return x, y, z, rx, ry, rz
