@@ -1,4 +1,7 @@
-"""What speaks for and against a pose: how much of the visible port has scan points on it, and what contradicts it."""
+"""What speaks for and against a pose, place by place: scan points where the port should be, or where it cannot be.
+
+Votes are taken cell by cell, so that a dense patch counts no more than a thin one, and a few flying points nothing.
+"""
 
 from __future__ import annotations
 
@@ -6,61 +9,127 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from perception.crop import Scene
+from perception.front_map import CELL_M, TOLERANCE_M, FrontMap, rolled
 from perception.geometry import Array, Pose
 from perception.port_model import PortModel
-from perception.relief import flat_weights
 
-ON_SURFACE_M = 0.0015
-SAMPLE_STEP = 17
+VOTE_CELL_M = 0.0015
+ABOVE_RIM_M = 0.003
+"""Points higher than this over the rim plane are things in the way, and say nothing about the port."""
+_ROLL_STEP_DEG = 4.0
+_ROLL_FROM_DEG = 12.0
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True)
 class Evidence:
-    """Shares between 0 and 1, of model surface weighted by how distinctive it is."""
+    """Counts and shares; see the properties for what the gate asks."""
 
+    agreeing: float
+    """Weight of cells whose points lie where the port's surface is; weighted by how distinctive they are."""
+    behind: float
+    """Weight of cells whose points lie behind the surface: a ray passed through material."""
+    before: float
+    """Weight of cells whose points lie in space that the port leaves free."""
     coverage: float
-    """Share of the surface that the scanner could see with scan points on it."""
-    violation: float
-    """Share of the points within the port's outline that end inside its solid material."""
+    """Share of the port's outline, seen from the front, with points that agree."""
+    features: int
+    """Contact-sized features of the model."""
+    features_seen: int
+    """Those with agreeing points."""
+    features_denied: int
+    """Those with points that contradict them."""
+    roll_for: int
+    """Points that decide between this roll and its strongest rival, and speak for this one."""
+    roll_against: int
+    roll_rival_rad: float
+    """By how much the strongest rival is rolled."""
 
     @property
-    def score(self) -> float:
-        """One number to rank poses by."""
-        return self.coverage - self.violation
+    def violation(self) -> float:
+        """Share of the distinctive evidence that contradicts, 0 to 1."""
+        return (self.behind + self.before) / max(self.agreeing + self.behind + self.before, 1e-9)
+
+    @property
+    def roll_margin(self) -> float:
+        """1: every deciding point speaks for this roll; 0: as many for the rival."""
+        total = self.roll_for + self.roll_against
+        return (self.roll_for - self.roll_against) / total if total else 0.0
 
 
-def judge(pose: Pose, scene: Scene, model: PortModel, tree: cKDTree, threads: int = 2) -> Evidence:
-    """The evidence for T_prior_port = ``pose``. ``tree`` holds the scene's thinned points."""
-    surface, weights = model.surface, flat_weights(model.surface)
-    chosen = slice(None, None, SAMPLE_STEP)
-    points, normals, weight = surface.points[chosen], surface.normals[chosen], weights[chosen]
-    sensor = pose.inverse().apply(np.median(scene.origins, axis=0))
-    weight = weight * (np.einsum("ij,ij->i", sensor - points, normals) > 0)
-    distance = tree.query(pose.apply(points), distance_upper_bound=ON_SURFACE_M, workers=threads)[0]
-    covered = float((weight * np.isfinite(distance)).sum() / max(weight.sum(), 1e-9))
-    local = pose.inverse().apply(scene.thin_points)
-    return Evidence(covered, _violation(local, model))
+def score(pose: Pose, points: Array, model: PortModel) -> float:
+    """One number to rank poses by: agreeing minus contradicting points (N, 3), as a share of the model's outline."""
+    local = pose.inverse().apply(points)
+    misfit = model.front.misfit(local)
+    known = ~np.isnan(misfit) & (local[:, 2] < ABOVE_RIM_M)
+    cells = np.unique(np.floor(local[known, :2] / VOTE_CELL_M).astype(np.int64), axis=0, return_inverse=True)[1]
+    vote = np.where(np.abs(misfit[known]) < TOLERANCE_M, 1.0, -1.0)
+    total = np.sign(np.bincount(cells.reshape(-1), vote))
+    return float(total.sum() * VOTE_CELL_M**2 / max(np.isfinite(model.front.lowest).sum() * CELL_M**2, 1e-9))
 
 
-def _violation(local: Array, model: PortModel) -> float:
-    inside, gap = _behind_front(local, model)
-    return float((gap > 0.002).sum() / max(int(inside.sum()), 1))
+def judge(pose: Pose, scene: Scene, model: PortModel, noise_m: float) -> Evidence:
+    """The evidence for T_prior_port = ``pose`` in a scan with the given noise (1 sigma)."""
+    front = model.front
+    tolerance = max(TOLERANCE_M, 3.5 * noise_m)
+    local = pose.inverse().apply(scene.points)
+    misfit = front.misfit(local)
+    known = ~np.isnan(misfit) & (local[:, 2] < ABOVE_RIM_M)
+    local, misfit = local[known], misfit[known]
+    i, j, _ = front.cells(local)
+    cell = np.unique((i // 3) * 100_000 + j // 3, return_inverse=True)[1].reshape(-1)
+    counts = [
+        np.bincount(cell, state) for state in (np.abs(misfit) < tolerance, misfit <= -tolerance, misfit >= tolerance)
+    ]
+    weight = np.bincount(cell, front.distinct[i, j]) / np.maximum(np.bincount(cell), 1)
+    good, behind, before = _votes(counts)
+    seen, denied = _features(front, i, j, misfit, tolerance)
+    rival, roll_for, roll_against = _rival_roll(local, misfit, cell, front, tolerance)
+    outline = np.isfinite(front.lowest).sum() * CELL_M**2
+    return Evidence(
+        float(weight[good].sum()),
+        float(weight[behind].sum()),
+        float(weight[before].sum()),
+        min(float(good.sum()) * (3 * CELL_M) ** 2 / outline, 1.0),
+        front.features,
+        seen,
+        denied,
+        roll_for,
+        roll_against,
+        rival,
+    )
 
 
-def _behind_front(local: Array, model: PortModel) -> tuple[NDArray[np.bool_], Array]:
-    """Which points lie within the port's outline, and how far behind the deepest surface nearby those are."""
-    cell = 0.002
-    low, high = model.size
-    shape = np.ceil((high[:2] - low[:2]) / cell).astype(int) + 1
-    floor = np.full(shape, np.inf)
-    at = np.floor((model.surface.points[:, :2] - low[:2]) / cell).astype(int)
-    np.minimum.at(floor, (at[:, 0], at[:, 1]), model.surface.points[:, 2])
-    where = np.floor((local[:, :2] - low[:2]) / cell).astype(int)
-    inside = ((where >= 0) & (where < shape)).all(axis=1)
-    where = np.clip(where, 0, shape - 1)
-    inside &= np.isfinite(floor[where[:, 0], where[:, 1]]) & (local[:, 2] < 0.01)
-    gap = np.where(inside, floor[where[:, 0], where[:, 1]] - local[:, 2], 0.0)
-    return inside, gap
+def _votes(counts: list[Array]) -> tuple[NDArray[np.bool_], NDArray[np.bool_], NDArray[np.bool_]]:
+    agree, behind, before = counts
+    good = (agree >= behind + before) & (agree > 0)
+    return good, ~good & (behind >= before) & (behind >= 2), ~good & (before > behind) & (before >= 2)
+
+
+def _features(front: FrontMap, i: Array, j: Array, misfit: Array, tolerance: float) -> tuple[int, int]:
+    """How many contact-sized features have points that agree, and how many have points that contradict."""
+    number = front.feature[i, j].astype(np.int64)
+    agree = np.bincount(number, np.abs(misfit) < tolerance, minlength=front.features + 1)[1:]
+    against = np.bincount(number, np.abs(misfit) >= tolerance, minlength=front.features + 1)[1:]
+    return int(((agree >= 2) & (agree >= against)).sum()), int(((against >= 4) & (against > 2 * agree)).sum())
+
+
+def _rival_roll(
+    local: Array, misfit: Array, cell: NDArray[np.int64], front: FrontMap, tolerance: float
+) -> tuple[float, int, int]:
+    """The other roll that explains the scan best: its angle, and how many cells speak for this roll and for that one."""
+    first = np.unique(cell, return_index=True)[1]  # one point for each cell: votes, not density
+    local, agrees = local[first], np.abs(misfit[first]) < tolerance
+    best = (0.0, 0, 0)
+    lowest = np.inf
+    for angle_deg in np.arange(_ROLL_FROM_DEG, 360.0 - _ROLL_FROM_DEG + 0.1, _ROLL_STEP_DEG):
+        roll = float(np.deg2rad(angle_deg))
+        other = front.misfit(rolled(local, roll))
+        known = ~np.isnan(other)
+        rival = known & (np.abs(other) < tolerance)
+        mine, its = int((known & agrees & ~rival).sum()), int((rival & ~agrees).sum())
+        balance = (mine - its) / max(mine + its, 1)
+        if balance < lowest or (balance == lowest and mine + its > best[1] + best[2]):
+            lowest, best = balance, (float(np.arctan2(np.sin(roll), np.cos(roll))), mine, its)
+    return best

@@ -11,9 +11,13 @@ from perception.evidence import Evidence
 from perception.geometry import Array, Pose
 from perception.port_model import AcceptanceLimits
 
-MIN_COVERAGE = 0.22
-MAX_VIOLATION = 0.15
+MIN_COVERAGE = 0.15
+MAX_VIOLATION = 0.25
 MIN_MARGIN = 0.10
+MIN_FEATURES = 2
+MAX_DENIED = 0.25
+MIN_ROLL_VOTES = 6
+MIN_ROLL_MARGIN = 0.4
 _PRIOR_SLACK_M = 0.006
 _PRIOR_SLACK_RAD = float(np.deg2rad(3.0))
 
@@ -88,11 +92,36 @@ def _uncertain(findings: Findings, limits: AcceptanceLimits) -> list[str]:
 
 
 def _unsupported(findings: Findings) -> list[str]:
+    e = findings.evidence
     found = []
-    if findings.evidence.coverage < MIN_COVERAGE:
-        found.append(f"only {findings.evidence.coverage:.0%} of the visible port surface has scan points on it")
-    if findings.evidence.violation > MAX_VIOLATION:
-        found.append(f"{findings.evidence.violation:.0%} of the points end inside the port's solid material")
+    if e.coverage < MIN_COVERAGE:
+        found.append(f"only {e.coverage:.0%} of the port's outline has scan points where its surface is")
+    if e.violation > MAX_VIOLATION:
+        where = "behind the port's surface" if e.behind > e.before else "where the port leaves space free"
+        found.append(f"{e.violation:.0%} of the distinctive evidence contradicts the port: points {where}")
+    if e.features and e.features_seen < min(MIN_FEATURES, e.features):
+        found.append(f"only {e.features_seen} of {e.features} contacts and wells are seen where they should be")
+    if e.features_denied > MAX_DENIED * (e.features_seen + e.features_denied):
+        found.append(f"{e.features_denied} contacts or wells are contradicted, {e.features_seen} are seen")
+    if e.roll_for + e.roll_against < MIN_ROLL_VOTES:
+        found.append("hardly any point tells this roll from others")
+    elif e.roll_margin < MIN_ROLL_MARGIN:
+        found.append(
+            f"a roll by {_deg(e.roll_rival_rad):.0f} deg explains the scan as well: {e.roll_for} places speak for this"
+            f" roll, {e.roll_against} against"
+        )
     if findings.margin < MIN_MARGIN:
         found.append(f"another pose fits nearly as well (margin {findings.margin:.0%})")
     return found
+
+
+def supporting(findings: Findings) -> tuple[str, ...]:
+    """What supports an accepted pose."""
+    e = findings.evidence
+    return (
+        f"{e.coverage:.0%} of the port's outline has scan points where its surface is",
+        f"{e.features_seen} of {e.features} contacts and wells are seen, {e.features_denied} contradicted",
+        f"{e.violation:.0%} of the distinctive evidence contradicts",
+        f"{e.roll_for} places speak for this roll and {e.roll_against} for its strongest rival",
+        f"the next best pose scores {findings.margin:.0%} lower",
+    )

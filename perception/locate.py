@@ -12,16 +12,16 @@ from dataclasses import dataclass, field
 from time import perf_counter
 
 import numpy as np
-from scipy.spatial import cKDTree
+from numpy.typing import NDArray
 
 from perception.align import align
 from perception.covariance import covariance
 from perception.crop import Scene, crop
 from perception.errors import DegenerateCloudError, EmptyScanError
 from perception.estimate import PortEstimate, Prior
-from perception.evidence import judge
-from perception.gate import Findings, reasons_against
-from perception.geometry import Array, Pose
+from perception.evidence import judge, score
+from perception.gate import Findings, reasons_against, supporting
+from perception.geometry import Pose
 from perception.hypotheses import axis_hypotheses
 from perception.port_model import PortModel
 from perception.refine import Refined, refine
@@ -40,9 +40,9 @@ class LocateSettings:
     """Mating-axis hypotheses."""
     places: int = 8
     """Places kept for each axis."""
-    candidates: int = 16
+    candidates: int = 12
     """Candidates that are aligned."""
-    align_points: int = 2500
+    align_points: int = 1500
     """Scan points that align them."""
     threads: int = 2
     clock: Callable[[], float] = field(default=perf_counter)
@@ -122,12 +122,11 @@ def _align_and_rank(
     weights = np.append(flat_weights(model.surface), 0.0)
     poses = [candidate.T_prior_port for candidate in candidates[: settings.candidates]]
     aligned = align(poses, scene.thin_points[chosen], scene.thin_normals[chosen], model, weights)
-    tree = cKDTree(scene.thin_points)
-    scored = [(judge(pose, scene, model, tree, settings.threads).score, pose) for pose in aligned]
+    scored = [(score(pose, scene.thin_points, model), pose) for pose in aligned]
     return sorted(scored, key=lambda entry: -entry[0])
 
 
-def _subset(scene: Scene, count: int) -> Array:
+def _subset(scene: Scene, count: int) -> NDArray[np.int64]:
     """Evenly spread numbers of thinned points."""
     return np.unique(np.linspace(0, len(scene.thin_points) - 1, count).astype(np.int64))
 
@@ -144,12 +143,11 @@ def _judged(
     pose = refined.T_prior_port
     cov = covariance(refined)
     timer.lap("covariance")
-    evidence = judge(pose, scene, model, cKDTree(scene.thin_points))
-    margin = _margin(evidence.score, pose, ranked)
+    evidence = judge(pose, scene, model, refined.scale_m)
+    margin = _margin(score(pose, scene.thin_points, model), pose, ranked)
     findings = Findings(pose, cov, refined.rms_m, evidence, margin)
     against = reasons_against(findings, prior, model.limits)
     timer.lap("evidence")
-    supports = (f"{evidence.coverage:.0%} of the visible port surface is covered by scan points",)
     return PortEstimate(
         port=model.name,
         T_ref_port=prior.T_ref_port @ pose,
@@ -159,7 +157,7 @@ def _judged(
         inlier_ratio=evidence.coverage,
         runner_up_margin=margin,
         accepted=not against,
-        reasons=against or supports,
+        reasons=against or supporting(findings),
         timings_s=timer.done(),
         verdict="uncertain" if against else "port",
     )

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from perception.front_map import FrontMap, build_front_map
 from perception.geometry import Array, Pose
 from perception.mesh_io import checked_mesh
 from perception.nearest import NearestField, build_nearest
@@ -21,7 +22,7 @@ from perception.surface import Surface, visible_surface
 
 _log = logging.getLogger(__name__)
 
-_VERSION = "7"
+_VERSION = "8"
 """Part of the cache key: raise it when the preparation changes."""
 SPACING_M = 0.0012
 EDGE_SPACING_M = 0.0004
@@ -51,6 +52,8 @@ class PortModel:
     """Samples of what can be seen from the front, fine enough to register against."""
     nearest: NearestField
     """Look-up of the nearest sample of ``surface``."""
+    front: FrontMap
+    """Heights seen from the front, for local evidence."""
     checksum: str
     """Hash of the mesh; equal checksums mean equal models."""
     T_port_tcp: Pose = field(default_factory=Pose.identity)
@@ -80,8 +83,9 @@ class PortModel:
         path = (cache_dir or default_cache_dir()) / f"model-{_VERSION}-{checksum[:20]}.npz"
         prepared = _load(path)
         if prepared is None:
-            surface = visible_surface(vertices, faces).thinned(SPACING_M, EDGE_SPACING_M)
-            prepared = surface, build_nearest(surface)
+            dense = visible_surface(vertices, faces)
+            surface = dense.thinned(SPACING_M, EDGE_SPACING_M)
+            prepared = surface, build_nearest(surface), build_front_map(dense.points)
             _save(path, *prepared)
         return PortModel(
             name,
@@ -121,13 +125,17 @@ def _checksum(vertices: Array, faces: NDArray[np.int64]) -> str:
     return digest.hexdigest()
 
 
-def _load(path: Path) -> tuple[Surface, NearestField] | None:
+_Prepared = tuple[Surface, NearestField, FrontMap]
+
+
+def _load(path: Path) -> _Prepared | None:
     try:
         with np.load(path, allow_pickle=False) as archive:
             columns = archive["surface"].astype(np.float64)
             surface = Surface(columns[:, :3], columns[:, 3:6], *columns[:, 6:].T)
             grid = archive["grid"]
-            return surface, NearestField(grid[:3], archive["index"], float(grid[3]), len(surface))
+            nearest = NearestField(grid[:3], archive["index"], float(grid[3]), len(surface))
+            return surface, nearest, FrontMap(archive["front_low"], *archive["front"], archive["feature"])
     except FileNotFoundError:
         return None
     except Exception as error:  # a broken cache file must never stop a docking: prepare again
@@ -135,7 +143,7 @@ def _load(path: Path) -> tuple[Surface, NearestField] | None:
         return None
 
 
-def _save(path: Path, surface: Surface, nearest: NearestField) -> None:
+def _save(path: Path, surface: Surface, nearest: NearestField, front: FrontMap) -> None:
     """Writes beside and renames, so that two processes at once do no harm. What cannot be written is not cached."""
     scalars = (surface.visibility, surface.edge_m, surface.area_m2, surface.level)
     columns = np.column_stack([surface.points, surface.normals, *scalars])
@@ -147,6 +155,9 @@ def _save(path: Path, surface: Surface, nearest: NearestField) -> None:
                 surface=columns.astype(np.float32),
                 grid=np.append(nearest.origin, nearest.cell_m),
                 index=nearest.index,
+                front_low=front.low,
+                front=np.stack([front.lowest, front.highest, front.distinct]),
+                feature=front.feature,
             )
         os.replace(file.name, path)
     except OSError as error:

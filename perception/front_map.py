@@ -1,0 +1,119 @@
+"""The port as a map of heights seen from the front, for evidence that is local: which place should be how deep.
+
+Large surfaces fit many poses; what tells a port from a cap, another type or itself rolled by a quarter turn are places of
+a few square millimetres: contacts, wells, key and latch side. The map knows for each cell the range of heights that a
+point there may have, how much the cell tells a pose from rolled ones, and which contact-sized feature it belongs to.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import binary_erosion, label, maximum_filter, minimum_filter
+
+from perception.geometry import Array
+
+CELL_M = 0.0005
+TOLERANCE_M = 0.001
+_FEATURE_AREA_M2 = (4e-6, 4e-4)
+_ROLLS_RAD = np.deg2rad(np.arange(12.0, 349.0, 12.0))
+
+Map = NDArray[np.float32]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FrontMap:
+    """Cells of ``CELL_M`` in the port's x-y plane; all maps (X, Y)."""
+
+    low: Array
+    """(2,) corner of the first cell."""
+    lowest: Map
+    """Least height of the surface in a cell and its neighbours, NaN outside the port's outline."""
+    highest: Map
+    """Greatest height there."""
+    distinct: Map
+    """0 where any roll would show the same height, to 1 where every other roll shows another one."""
+    feature: NDArray[np.int16]
+    """Number of the contact-sized feature, 0 for none."""
+
+    @property
+    def features(self) -> int:
+        """How many contact-sized features there are."""
+        return int(self.feature.max())
+
+    def cells(self, local: Array) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.bool_]]:
+        """Cell numbers of points (N, 2 or 3) and which of them lie in the port's outline."""
+        at = np.floor((local[:, :2] - self.low) / CELL_M).astype(np.int64)
+        shape = np.array(self.lowest.shape)
+        inside = ((at >= 0) & (at < shape)).all(axis=1)
+        at = np.clip(at, 0, shape - 1)
+        inside &= np.isfinite(self.lowest[at[:, 0], at[:, 1]])
+        return at[:, 0], at[:, 1], inside
+
+    def misfit(self, local: Array) -> Array:
+        """How far points (N, 3) are before (+) or behind (-) where the port may be, 0 within; NaN outside its outline."""
+        i, j, inside = self.cells(local)
+        z = local[:, 2]
+        before, behind = np.maximum(z - self.highest[i, j], 0.0), np.minimum(z - self.lowest[i, j], 0.0)
+        return np.where(inside, before + behind, np.nan)
+
+
+def build_front_map(points: Array) -> FrontMap:
+    """The map of a visible surface, given as samples (N, 3) denser than a cell."""
+    low = points[:, :2].min(axis=0) - 2 * CELL_M
+    at = np.floor((points[:, :2] - low) / CELL_M).astype(np.int64)
+    shape = at.max(axis=0) + 3
+    top = np.full(shape, -np.inf)
+    np.maximum.at(top, (at[:, 0], at[:, 1]), points[:, 2])
+    filled = np.where(np.isfinite(top), top, maximum_filter(top, 3))  # a cell that no sample met
+    known = np.isfinite(filled)
+    highest = maximum_filter(filled, 3)
+    lowest = minimum_filter(np.where(known, filled, np.inf), 3)
+    known &= binary_erosion(known, np.ones((3, 3)))
+    lowest, highest = np.where(known, lowest, np.nan), np.where(known, highest, np.nan)
+    plain = FrontMap(
+        low,
+        lowest.astype(np.float32),
+        highest.astype(np.float32),
+        np.zeros(shape, np.float32),
+        np.zeros(shape, np.int16),
+    )
+    middle = np.where(known, filled, np.nan)
+    return FrontMap(low, plain.lowest, plain.highest, _distinct(plain, middle), _features(middle, points))
+
+
+def _distinct(plain: FrontMap, height: Array) -> Map:
+    i, j = np.nonzero(np.isfinite(height))
+    local = np.column_stack([plain.low + (np.column_stack([i, j]) + 0.5) * CELL_M, height[i, j]])
+    share = np.zeros(len(local))
+    for roll in _ROLLS_RAD:
+        misfit = np.abs(plain.misfit(rolled(local, roll)))
+        share += np.where(np.isnan(misfit), 0.0, misfit > TOLERANCE_M)
+    distinct = np.zeros(height.shape, np.float32)
+    distinct[i, j] = share / len(_ROLLS_RAD)
+    return distinct
+
+
+def rolled(local: Array, roll_rad: float) -> Array:
+    """Points (N, 3) of the port frame as seen from a port that is rolled by ``roll_rad``."""
+    c, s = np.cos(roll_rad), np.sin(roll_rad)
+    return np.column_stack([c * local[:, 0] + s * local[:, 1], -s * local[:, 0] + c * local[:, 1], local[:, 2]])
+
+
+def _features(height: Array, points: Array) -> NDArray[np.int16]:
+    """Connected patches of one height that have the size of a contact, a well or a key."""
+    step = np.round(np.nan_to_num(height, nan=9.0) / TOLERANCE_M).astype(np.int64)
+    feature = np.zeros(height.shape, np.int16)
+    count = 0
+    for level in np.unique(step[np.isfinite(height)]):
+        patches, found = label(step == level)
+        areas = np.bincount(patches.reshape(-1), minlength=found + 1) * CELL_M**2
+        for k in range(1, found + 1):
+            if _FEATURE_AREA_M2[0] < areas[k] < _FEATURE_AREA_M2[1]:
+                core = binary_erosion(patches == k, np.ones((3, 3)))
+                if core.sum() * CELL_M**2 > 1e-6:
+                    count += 1
+                    feature[core] = count
+    return feature
