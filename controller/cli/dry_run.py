@@ -13,10 +13,8 @@ import typer
 
 from controller.cli.progress import make_display
 from controller.config import ConfigError, SiteConfig, load_config
-from controller.mock_cell import MockCell
 from controller.port_files import load_port
 from controller.scenarios import SCENARIOS, draw_scenario
-from controller.session import run_session
 from controller.summary import MissionSummary
 
 FAST_FACTOR = 4.0
@@ -36,6 +34,9 @@ def dry_run(
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object instead of progress.")] = False,
 ) -> None:
     """Watch a whole docking cycle without hardware: three mocks on real wires, the very controller of the daemon."""
+    from controller.mock_cell import MockCell  # devices and reports take seconds to import: other commands need none
+    from controller.session import run_session
+
     site = for_mocks(load_config(config))
     world = draw_scenario(scenario, site, load_port(site.port.model), seed)
     folder = run_folder(out, site)
@@ -63,6 +64,8 @@ def run(
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object instead of progress.")] = False,
 ) -> None:
     """Run one docking mission on the devices that the site file names. The arm will move."""
+    from controller.session import run_session  # see above
+
     site = load_config(config)
     with make_display(quiet=as_json) as display:
         summary = run_session(site, run_folder(out, site), display)

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from controller.cli import charger, config, dry_run, locate, mock, states
+from controller.cli import charger, config, dry_run, evaluate, locate, mock, recording, scanner, states
 from controller.config import ConfigError
 from controller.faults import MissionFault
 from drivers.base import DriverError
@@ -34,7 +34,10 @@ app.command("locate")(locate.locate)
 app.command("states")(states.states)
 app.add_typer(config.app, name="config")
 app.add_typer(mock.app, name="mock")
+app.add_typer(recording.app, name="recording")
 app.add_typer(charger.app, name="charger")
+app.add_typer(scanner.app, name="scanner")
+app.add_typer(evaluate.app, name="evaluate")
 
 
 @app.callback()

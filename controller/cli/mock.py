@@ -7,8 +7,6 @@ from __future__ import annotations
 
 import typer
 
-from controller.mock_cell import run_mock
-
 app = typer.Typer(help="Start one mock device in the foreground; prints where it listens.", no_args_is_help=True)
 
 _PASS_ON = {"allow_extra_args": True, "ignore_unknown_options": True, "help_option_names": []}
@@ -17,16 +15,22 @@ _PASS_ON = {"allow_extra_args": True, "ignore_unknown_options": True, "help_opti
 @app.command(context_settings=_PASS_ON)
 def scanner(context: typer.Context) -> None:
     """A laser profiler on a pseudo-terminal behind a symlink."""
-    run_mock("scanner", context.args)
+    _become("scanner", context.args)
 
 
 @app.command(context_settings=_PASS_ON)
 def arm(context: typer.Context) -> None:
     """A UR e-Series controller on a loopback address."""
-    run_mock("ur", context.args)
+    _become("ur", context.args)
 
 
 @app.command(context_settings=_PASS_ON)
 def charger(context: typer.Context) -> None:
     """A charger's control unit behind an slcan adapter."""
-    run_mock("charger", context.args)
+    _become("charger", context.args)
+
+
+def _become(name: str, arguments: list[str]) -> None:
+    from controller.mock_cell import run_mock  # the world takes a second to import, the mock imports it anyway
+
+    run_mock(name, arguments)
