@@ -21,6 +21,7 @@ from perception.geometry import Pose
 T_FLANGE_TCP = Pose.from_vector([0.0, 0.0, 0.2, 0.0, 0.0, 0.3])
 PAYLOAD_KG = 2.5
 COG_M = (0.0, 0.01, 0.06)
+WATCHDOG_S = 0.5
 
 _count = itertools.count()
 
@@ -140,8 +141,9 @@ class Kicker:
 
 
 def settings(host: str, **changes: object) -> UrSettings:
-    """An ur10e with a plug, at the emulated controller's rate."""
+    """An ur10e with a plug, at the emulated controller's rate; patient enough for a busy machine."""
     values: dict = {"model": "ur10e", "T_flange_tcp": T_FLANGE_TCP, "payload_kg": PAYLOAD_KG}
+    values |= {"watchdog_hz": 1.0 / WATCHDOG_S, "freshness_s": 1.0}
     values |= {"centre_of_gravity_m": COG_M, "frequency_hz": 125.0, **changes}
     return UrSettings(host, **values)
 

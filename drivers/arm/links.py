@@ -25,6 +25,7 @@ from drivers.base import (
     DriverError,
     LinkHealth,
     LinkLostError,
+    LinkOpenError,
     ProtocolError,
     SafetyMode,
 )
@@ -82,7 +83,12 @@ class Links:
     def _open_telemetry(self) -> None:
         s = self._settings
         self._safe = True
-        self._telemetry = Telemetry(s.host, s.frequency_hz, s.T_flange_tcp, self._sink, self._clock, self._on_state)
+        try:
+            self._telemetry = Telemetry(
+                s.host, s.frequency_hz, s.connect_timeout_s, s.T_flange_tcp, self._sink, self._clock, self._on_state
+            )
+        except (LinkLostError, ProtocolError, OSError) as error:
+            raise LinkOpenError(f"the arm's state link cannot be opened: {error}") from error
 
     def _close_telemetry(self) -> None:
         telemetry, self._telemetry = self._telemetry, None

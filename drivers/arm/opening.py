@@ -17,7 +17,7 @@ from drivers.arm.errors import (
     WrongModelError,
     WrongSerialError,
 )
-from drivers.arm.rtde_probe import controller_version
+from drivers.arm.rtde_stream import controller_version
 from drivers.arm.settings import UrSettings
 from drivers.base import Clock, LinkLostError, LinkOpenError, ProtocolError
 

@@ -1,7 +1,6 @@
 """The arm's state link: every sample the controller sends, stamped with the host's clock.
 
-A sample is new when the controller's own time stamp has changed; that, and not the library's word for being connected,
-is what freshness is judged by. ur_rtde's receive interface survives a lost link, so it may live in this process.
+Freshness is judged by samples that bring a new time stamp of the controller's own, never by a connection being open.
 """
 
 from __future__ import annotations
@@ -16,27 +15,11 @@ from typing import Any
 import numpy as np
 
 from drivers.arm.errors import FrozenStateError, StateLinkLostError
-from drivers.base import ArmState, ByteSink, Clock, LinkHealth, LinkOpenError, RobotMode, SafetyMode
+from drivers.arm.rtde_stream import RawSample, RtdeStream
+from drivers.base import ArmState, ByteSink, Clock, LinkHealth, ProtocolError, RobotMode, SafetyMode
 from perception.geometry import Array, Pose
 
 log = logging.getLogger(__name__)
-
-VARIABLES = (
-    "timestamp",
-    "actual_q",
-    "actual_qd",
-    "actual_TCP_pose",
-    "actual_TCP_speed",
-    "actual_TCP_force",
-    "robot_mode",
-    "safety_mode",
-    "runtime_state",
-    "speed_scaling",
-    "target_speed_fraction",
-    "payload",
-    "payload_cog",
-)
-"""Only names that ur_rtde knows: one that it does not would shift all fields behind it."""
 
 PLAYING = 2
 """RTDE ``runtime_state`` of a running program."""
@@ -44,21 +27,25 @@ HISTORY = 60_000
 """Two minutes at 500 Hz."""
 AT_REST_RAD_S = 0.005
 AT_REST_M_S = 0.001
-ATTEMPTS = 5
+READ_S = 0.1
+LEAST_STEP_S = 1e-6
+"""Samples' times increase strictly, so that poses can be interpolated over them."""
 
 
 class Telemetry:
-    """Reader thread over one RTDEReceiveInterface."""
+    """Reader thread over one RTDE stream."""
 
     def __init__(
         self,
         host: str,
         frequency_hz: float,
+        timeout_s: float,
         T_flange_tcp: Pose,
         sink: ByteSink,
         clock: Clock,
         on_state: Callable[[ArmState], None],
     ) -> None:
+        """Open the link and wait for the first sample. Raises ArmAbsentError, ProtocolError or FrozenStateError."""
         self._T_flange_tcp = T_flange_tcp
         self._frequency_hz = frequency_hz
         self._sink = sink
@@ -66,20 +53,28 @@ class Telemetry:
         self._on_state = on_state
         self._history: deque[ArmState] = deque(maxlen=HISTORY)
         self._history_lock = threading.Lock()
+        self._payload = (0.0, np.zeros(3))
         self._samples = 0
         self._missed = 0
-        self._torn = 0
+        self._gone: str | None = None
         self._stop = threading.Event()
-        self._receive = _connect(host, frequency_hz)
-        self._take()
+        self._stream = RtdeStream(host, timeout_s)
+        try:
+            self._stream.start(frequency_hz)
+            self._take(self._stream.read(timeout_s))
+            if not self._history:
+                raise FrozenStateError("the controller accepts the state link but sends nothing")
+        except BaseException:
+            self._stream.close()
+            raise
         self._thread = threading.Thread(target=self._run, name="arm-telemetry", daemon=True)
         self._thread.start()
 
     def close(self) -> None:
         """End the thread and the link."""
         self._stop.set()
+        self._stream.close()
         self._thread.join(2.0)
-        _retire(self._receive)
 
     # --- for the arm -------------------------------------------------------------------------------------------------
 
@@ -90,16 +85,15 @@ class Telemetry:
     def is_fresh(self, freshness_s: float) -> bool:
         """Whether the link is up and a sample came within the last ``freshness_s``."""
         state = self.newest()
-        recent = state is not None and self._clock.now_s() - state.time_s <= freshness_s
-        return recent and bool(self._receive.isConnected())
+        return self._gone is None and state is not None and self._clock.now_s() - state.time_s <= freshness_s
 
     def fresh(self, freshness_s: float) -> ArmState:
         """The newest sample. Raises StateLinkLostError or FrozenStateError if it is older than ``freshness_s``."""
         state = self.newest()
         if state is not None and self.is_fresh(freshness_s):
             return state
-        if not self._receive.isConnected():
-            raise StateLinkLostError("the controller closed the arm's state link")
+        if self._gone is not None:
+            raise StateLinkLostError(f"the arm's state link is lost: {self._gone}")
         age = "none came yet" if state is None else f"the last is {self._clock.now_s() - state.time_s:.2f} s old"
         raise FrozenStateError(f"the arm's state link is open but brings no new samples ({age})")
 
@@ -111,34 +105,43 @@ class Telemetry:
 
     def payload(self) -> tuple[float, Array]:
         """Mass (kg) and centre of gravity (3,) in m that the controller reckons with."""
-        return float(self._receive.getPayload()), np.asarray(self._receive.getPayloadCog(), dtype=np.float64)
+        return self._payload
 
     def health(self, freshness_s: float) -> LinkHealth:
         """Judged by the age of the newest sample."""
         state, up = self.newest(), self.is_fresh(freshness_s)
-        counters = (("samples", self._samples), ("missed", self._missed), ("torn", self._torn))
-        return LinkHealth(up, None if state is None else state.time_s, counters)
+        counters = (("samples", self._samples), ("missed", self._missed))
+        return LinkHealth(up, None if state is None else state.time_s, counters, self._gone or "")
 
     # --- the thread --------------------------------------------------------------------------------------------------
 
     def _run(self) -> None:
-        pause_s = 0.25 / self._frequency_hz
-        while not self._stop.wait(pause_s):
+        while not self._stop.is_set():
             try:
-                self._take()
-            except Exception as error:  # the library's own types; the reader must outlive any of them
+                self._take(self._stream.read(READ_S))
+            except (OSError, ProtocolError) as error:
+                self._gone = str(error)
                 if not self._stop.is_set():
-                    log.error("the arm's state cannot be read: %s", error)
+                    log.error("the arm's state link is lost: %s", error)
                 return
 
-    def _take(self) -> None:
-        """Read one sample if there is a new one."""
+    def _take(self, samples: list[RawSample]) -> None:
+        """Stamp, keep and hand on what came at once: spread evenly by device time since the sample before."""
         last = self.newest()
-        if last is not None and self._receive.getTimestamp() == last.device_time_s:
+        samples = [one for one in samples if last is None or one.timestamp_s != last.device_time_s]
+        if not samples:
             return
-        state = self._read()
-        if state is None:
-            return
+        now_s = self._clock.now_s()
+        before_s = now_s if last is None else last.time_s
+        device_before_s = samples[0].timestamp_s if last is None else last.device_time_s
+        span_s = samples[-1].timestamp_s - device_before_s
+        for sample in samples:
+            share = (sample.timestamp_s - device_before_s) / span_s if span_s > 0.0 else 1.0
+            self._keep(self._state(sample, before_s + share * (now_s - before_s)))
+        self._payload = (samples[-1].payload_kg, np.array(samples[-1].payload_cog_m))
+
+    def _keep(self, state: ArmState) -> None:
+        last = self.newest()
         if last is not None:
             steps = round((state.device_time_s - last.device_time_s) * self._frequency_hz)
             self._missed += max(0, steps - 1)
@@ -148,55 +151,23 @@ class Telemetry:
         self._sink.arm_state(state)
         self._on_state(state)
 
-    def _read(self) -> ArmState | None:
-        """One consistent sample: fields are read one by one, so the time stamp must be the same before and after."""
-        r = self._receive
-        for _ in range(ATTEMPTS):
-            stamp = r.getTimestamp()
-            values = (
-                r.getActualQ(),
-                r.getActualQd(),
-                r.getActualTCPPose(),
-                r.getActualTCPSpeed(),
-                r.getActualTCPForce(),
-                r.getRobotMode(),
-                r.getSafetyMode(),
-                r.getRuntimeState(),
-                r.getSpeedScaling() * r.getTargetSpeedFraction(),
-            )
-            if r.getTimestamp() == stamp:
-                return self._state(stamp, *values)
-            self._torn += 1
-        return None
-
-    def _state(
-        self,
-        stamp: float,
-        q: list[float],
-        qd: list[float],
-        pose: list[float],
-        speed: list[float],
-        force: list[float],
-        mode: int,
-        safety: int,
-        runtime: int,
-        scaling: float,
-    ) -> ArmState:
-        tcp_speed = np.array(speed)
-        moving = max(map(abs, qd)) > AT_REST_RAD_S or float(np.linalg.norm(tcp_speed[:3])) > AT_REST_M_S
+    def _state(self, sample: RawSample, time_s: float) -> ArmState:
+        last = self.newest()
+        tcp_speed = np.array(sample.tcp_speed)
+        moving = max(map(abs, sample.qd)) > AT_REST_RAD_S or float(np.linalg.norm(tcp_speed[:3])) > AT_REST_M_S
         return ArmState(
-            time_s=self._clock.now_s(),
-            device_time_s=stamp,
-            T_base_tcp=Pose.from_vector(pose),
+            time_s=time_s if last is None else max(time_s, last.time_s + LEAST_STEP_S),
+            device_time_s=sample.timestamp_s,
+            T_base_tcp=Pose.from_vector(sample.tcp_pose),
             T_flange_tcp=self._T_flange_tcp,
-            joints=np.array(q),
+            joints=np.array(sample.q),
             tcp_speed=tcp_speed,
-            wrench=np.array(force),
-            mode=_known(RobotMode, mode, RobotMode.NO_CONTROLLER),
-            safety=_known(SafetyMode, safety, SafetyMode.FAULT),
+            wrench=np.array(sample.tcp_force),
+            mode=_known(RobotMode, sample.robot_mode, RobotMode.NO_CONTROLLER),
+            safety=_known(SafetyMode, sample.safety_mode, SafetyMode.FAULT),
             moving=moving,
-            program_running=runtime == PLAYING,
-            speed_scaling=float(np.clip(scaling, 0.0, 1.0)),
+            program_running=sample.runtime_state == PLAYING,
+            speed_scaling=float(np.clip(sample.speed_scaling * sample.speed_fraction, 0.0, 1.0)),
         )
 
 
@@ -206,23 +177,3 @@ def _known(kind: Any, value: int, otherwise: Any) -> Any:
         return kind(value)
     except ValueError:
         return otherwise
-
-
-_RETIRED: list[Any] = []
-"""Closed interfaces, kept to the process's end: the library's destructor sleeps while it holds Python's global lock,
-which would hold up the supervisor's tick for half a second."""
-
-
-def _retire(receive: Any) -> None:
-    """Disconnect, which takes half a second, in a thread of its own. Not a daemon: cut off at exit, it aborts."""
-    _RETIRED.append(receive)
-    threading.Thread(target=receive.disconnect, name="arm-disconnect", daemon=False).start()
-
-
-def _connect(host: str, frequency_hz: float) -> Any:
-    from rtde_receive import RTDEReceiveInterface  # compiled; here, so that the module's logic imports without it
-
-    try:
-        return RTDEReceiveInterface(host, frequency_hz, list(VARIABLES))
-    except (RuntimeError, ValueError) as error:
-        raise LinkOpenError(f"the arm's state link cannot be opened: {error}") from error

@@ -161,8 +161,13 @@ class WorkerClient:
                     self._give_up("it did not start in time")
             elif busy_reason is not None:
                 self._give_up(busy_reason)
-            elif now_s - heard_s > self._silence_s and not (now_s - heard_s < STARVED_S and _starved(self.pid)):
+            elif now_s - heard_s > self._silence_s and self._hangs(now_s - heard_s):
                 self._give_up(f"its process hangs: no sign of life for {1000 * (now_s - heard_s):.0f} ms")
+
+    def _hangs(self, silent_s: float) -> bool:
+        """Whether silence means a hang. A beat that was sent before the process went to sleep is here by now."""
+        starved = silent_s < STARVED_S and _starved(self.pid)
+        return not starved and not self._connection.poll(0.0)
 
     def _take(self, message: Any) -> str | None:
         """Sort one message in. Returns why the worker must be taken for hung, or None."""
@@ -226,10 +231,10 @@ class WorkerClient:
 
 
 def _starved(pid: int) -> bool:
-    """Whether a thread of the process could run but gets no processor: a loaded machine, not a hang."""
+    """Whether a thread of the process could run, or waits for memory: a loaded machine, not a hang."""
     for task in Path(f"/proc/{pid}/task").glob("*/stat"):
         try:
-            if task.read_text().rpartition(")")[2].split()[0] == "R":
+            if task.read_text().rpartition(")")[2].split()[0] in "RD":
                 return True
         except (OSError, IndexError):
             continue

@@ -13,11 +13,11 @@ import pytest
 
 from drivers.arm.ur import UrArm
 from drivers.base import LinkLostError
-from tests.arm_rig import Kicker, MockController, host_process, settings, until
+from tests.arm_rig import WATCHDOG_S, Kicker, MockController, host_process, settings, until
 
 ROUNDS = 200
 VICTIMS = ("worker", "worker hangs", "link", "host", "host hangs", "robot")
-STILL_S = 0.2 + 0.5
+STILL_S = WATCHDOG_S + 0.5
 """Emulated: the watchdog's period, and room for decelerating, for a late mock and for looking at it."""
 
 
@@ -48,10 +48,9 @@ def pause(rng: np.random.Generator) -> None:
 
 def stands_still_in_time(mock: MockController) -> None:
     begun = mock.state()["time_s"]
-    until(mock.still, "the arm stands still")
+    until(lambda: mock.state()["program"] is None and mock.still(), "the script has ended and the arm stands still")
     assert mock.state()["time_s"] - begun < STILL_S
     mock.until_still()
-    until(lambda: mock.state()["program"] is None, "the script has ended")
 
 
 def kill_link(mock: MockController, rng: np.random.Generator, victim: str, direction: float) -> None:

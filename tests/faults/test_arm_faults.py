@@ -141,7 +141,7 @@ def test_a_dropped_rtde_link_is_reported_and_recovered_from(rig) -> None:
 
 def test_frozen_data_is_seen_by_the_controllers_clock(rig) -> None:
     set_moving(rig)
-    rig.mock.do("freeze", seconds=2.0)
+    rig.mock.do("freeze", seconds=3.0)
     with pytest.raises(FrozenStateError):
         until(lambda: rig.arm.state() is None, "state is stale")
     with pytest.raises(FrozenStateError):

@@ -1,16 +1,19 @@
-"""The driver's own two conversations, dashboard and RTDE probe, against literal bytes."""
+"""The driver's own two conversations, dashboard and RTDE stream, against literal bytes."""
 
 from __future__ import annotations
 
+import itertools
 import socket
 import threading
 from contextlib import contextmanager
 
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from drivers.arm.dashboard import Dashboard
 from drivers.arm.errors import ArmAbsentError
-from drivers.arm.rtde_probe import controller_version
+from drivers.arm.rtde_stream import RawSample, RtdeStream, decode
 from drivers.base import LinkLostError, ProtocolError
 from tests.arm_rig import own_address
 
@@ -82,34 +85,111 @@ def test_another_server_at_the_port_is_recognised() -> None:
 
 VERSION = (bytes.fromhex("0005560002"), bytes.fromhex("00045601"))
 CONTROLLER = (bytes.fromhex("000376"), bytes.fromhex("001376 00000005 0000000f 00000002 00000063"))
-OUTPUTS = (bytes.fromhex("00144f 405f400000000000") + b"timestamp", bytes.fromhex("000a4f01") + b"DOUBLE")
-START = (bytes.fromhex("000353"), bytes.fromhex("00045301") + bytes.fromhex("000c5501 3ff0000000000000"))
+NAMES = (
+    b"timestamp,actual_q,actual_qd,actual_TCP_pose,actual_TCP_speed,actual_TCP_force,robot_mode,safety_mode,"
+    b"runtime_state,speed_scaling,target_speed_fraction,payload,payload_cog"
+)
+KINDS = b"DOUBLE,VECTOR6D,VECTOR6D,VECTOR6D,VECTOR6D,VECTOR6D,INT32,INT32,UINT32,DOUBLE,DOUBLE,DOUBLE,VECTOR3D"
+OUTPUTS = (bytes.fromhex("00b64f 405f400000000000") + NAMES, bytes.fromhex("00684f 01") + KINDS)
+START = (bytes.fromhex("000353"), bytes.fromhex("00045301"))
+ONE, TWO, HALF = (bytes.fromhex(text) for text in ("3ff0000000000000", "4000000000000000", "3fe0000000000000"))
+SAMPLE = (
+    bytes.fromhex("013855 01")
+    + TWO  # time stamp
+    + ONE * 6  # q
+    + HALF * 6  # qd
+    + TWO * 6  # pose
+    + ONE * 6  # speed
+    + HALF * 6  # force
+    + bytes.fromhex("00000007 00000001 00000002")  # RUNNING, NORMAL, PLAYING
+    + ONE  # speed scaling
+    + HALF  # slider
+    + TWO  # payload
+    + ONE * 3  # centre of gravity
+)
+LATER = SAMPLE.replace(bytes.fromhex("01") + TWO, bytes.fromhex("01 4008000000000000"), 1)
 
 
-def test_the_probe_asks_for_version_and_data() -> None:
-    script = [VERSION, CONTROLLER, OUTPUTS, START]
+def opened(host: str) -> RtdeStream:
+    stream = RtdeStream(host, 2.0)
+    stream.start(125.0)
+    return stream
+
+
+def read_all(stream: RtdeStream, count: int) -> list[RawSample]:
+    samples: list[RawSample] = []
+    while len(samples) < count:
+        samples += stream.read(2.0)
+    return samples
+
+
+def test_the_stream_asks_for_version_and_data_and_decodes_a_sample() -> None:
+    script = [VERSION, CONTROLLER, OUTPUTS, (START[0], START[1] + SAMPLE)]
     with scripted_server(30004, script) as (host, seen):
-        assert controller_version(host, 2.0) == (5, 15, 2, 99)
+        stream = opened(host)
+        (sample,) = read_all(stream, 1)
+        stream.close()
     assert seen == [expected for expected, _ in script]
+    assert stream.version == (5, 15, 2, 99)
+    assert sample == RawSample(
+        2.0, (1.0,) * 6, (0.5,) * 6, (2.0,) * 6, (1.0,) * 6, (0.5,) * 6, 7, 1, 2, 1.0, 0.5, 2.0, (1.0,) * 3
+    )
 
 
-def test_text_messages_between_answers_are_passed_over() -> None:
+def test_every_queued_sample_is_read_and_other_packages_are_passed_over() -> None:
     message = bytes.fromhex("000a4d 02 6869 02 6d65 01")
-    script = [VERSION, (CONTROLLER[0], message + CONTROLLER[1]), OUTPUTS, START]
+    foreign = bytes.fromhex("013855 02") + SAMPLE[4:]
+    flood = SAMPLE + message + foreign + LATER
+    script = [VERSION, (CONTROLLER[0], message + CONTROLLER[1]), OUTPUTS, (START[0], message + START[1] + flood)]
     with scripted_server(30004, script) as (host, _):
-        assert controller_version(host, 2.0)[:2] == (5, 15)
+        stream = opened(host)
+        assert [sample.timestamp_s for sample in read_all(stream, 2)] == [2.0, 3.0]
+        with pytest.raises(OSError, match="closed"):
+            stream.read(2.0)
+        stream.close()
+
+
+@given(cuts=st.lists(st.integers(1, 2 * len(SAMPLE) - 1), max_size=8))
+@settings(max_examples=50, deadline=None)
+def test_packages_are_found_however_the_network_cuts_them(cuts) -> None:
+    ours, theirs = socket.socketpair()
+    stream = RtdeStream.__new__(RtdeStream)
+    stream._socket, stream._buffer, stream._recipe = ours, bytearray(), 1
+    data = SAMPLE + LATER
+    samples: list[RawSample] = []
+    for begin, end in itertools.pairwise([0, *sorted(set(cuts)), len(data)]):
+        theirs.sendall(data[begin:end])
+        samples += stream.read(1.0)
+    assert [sample.timestamp_s for sample in samples] == [2.0, 3.0]
+    ours.close()
+    theirs.close()
+
+
+def test_a_sample_of_another_size_is_an_error_not_a_shift() -> None:
+    with pytest.raises(ProtocolError, match="bytes"):
+        decode(SAMPLE[3:-1], 1)
+
+
+def test_a_variable_that_the_controller_does_not_know_is_named() -> None:
+    kinds = KINDS.replace(b"VECTOR3D", b"NOT_FOUND")
+    answer = bytes.fromhex("00694f 00") + kinds
+    with (
+        scripted_server(30004, [VERSION, CONTROLLER, (OUTPUTS[0], answer)]) as (host, _),
+        pytest.raises(ProtocolError, match="payload_cog as NOT_FOUND"),
+    ):
+        opened(host)
 
 
 @pytest.mark.parametrize("count", [1, 2, 3])
 def test_a_controller_that_stops_answering_is_absent(count) -> None:
     script = [VERSION, CONTROLLER, OUTPUTS][:count]
     with scripted_server(30004, script) as (host, _), pytest.raises(ArmAbsentError):
-        controller_version(host, 0.5)
+        opened(host)
 
 
 def test_a_controller_that_refuses_the_protocol() -> None:
     with (
         scripted_server(30004, [(VERSION[0], bytes.fromhex("00045600"))]) as (host, _),
-        pytest.raises(ArmAbsentError, match="protocol"),
+        pytest.raises(ArmAbsentError, match="RTDE 2"),
     ):
-        controller_version(host, 2.0)
+        RtdeStream(host, 2.0)
