@@ -31,6 +31,7 @@ from mocks.scanner.emulated_clock import EmulatedClock
 from mocks.scanner.paced_wire import PacedWire
 from mocks.scanner.profiler2 import Profiler2Device
 from mocks.scanner.pty_line import PtyLine
+from mocks.scanner.scip import ScipDevice
 from mocks.scanner.server import Device, serve
 from mocks.scanner.sources import GrooveSource, RecordedSource, Source
 from mocks.scanner.streaming_device import StreamingDevice, StreamTiming
@@ -43,6 +44,8 @@ def main(arguments: list[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     if options.source == "world" and options.world is None:
         parser.error("--source world needs --world DIR")
+    if options.protocol == "scip" and options.source != "groove":
+        parser.error("--protocol scip sees a room of its own: it takes no --source")
     logging.basicConfig(level=logging.INFO, format="%(asctime)s %(name)s %(message)s")
     stopping = threading.Event()
     for number in (signal.SIGTERM, signal.SIGINT):
@@ -66,6 +69,8 @@ def main(arguments: list[str] | None = None) -> int:
         device = Profiler2Device(
             source, wire, clock, reference_m=options.reference_m, address_in_words=options.address_in_words
         )
+    elif options.protocol == "scip":
+        device = ScipDevice(wire, clock, clock_offset_s=options.clock_offset_s, ppm=options.drift_ppm)
     else:
         device = StreamingDevice(source, wire, timing, clock, rng)
     requests: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
@@ -98,7 +103,7 @@ def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="mocks.scanner", description="A mock laser scanner on a pty.")
     add = parser.add_argument
     add("--link", type=Path, required=True, help="symlink to make: the device name that clients open")
-    add("--protocol", choices=("framed", "profiler2"), default="framed", help="framed: the preset wide_xz")
+    add("--protocol", choices=("framed", "profiler2", "scip"), default="framed", help="framed: the preset wide_xz")
     add("--source", default="groove", help="groove, world, or the path of a recorded sweep (.npz)")
     add("--world", type=Path, help="folder of the mock world, for --source world")
     add("--baud", type=int, help="the device's own baud rate; default: the client's")

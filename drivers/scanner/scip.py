@@ -1,0 +1,276 @@
+"""Laser range finders that speak SCIP 2 (Hokuyo URG, UTM and relatives), streaming with MD, MS or ME.
+
+Their ranges are good to centimetres: they find where the car's port is, they do not dock. The link is taken over from
+any state: whatever streams is stopped and drained before the first question.
+"""
+
+from __future__ import annotations
+
+import logging
+import threading
+from collections import deque
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.base import ByteSink, Clock, LinkHealth, LinkLostError, LinkOpenError
+from drivers.frame_format import CounterField
+from drivers.scanner import scip_codec as codec
+from drivers.scanner.counters import ClockUnwrapper
+from drivers.scanner.scip_codec import Reply, ReplyReader
+from drivers.scanner.serial_link import SerialLink, SerialSettings
+from perception.geometry import Array
+from perception.scan import Profile
+
+logger = logging.getLogger(__name__)
+
+TIME = CounterField("time", 1 << 24, 1e-3)
+"""Milliseconds in 24 bits: wraps after 4 h 39 min."""
+QUIET_S = 0.14
+"""So long a silence means that the device sends nothing more."""
+
+
+@dataclass(frozen=True, slots=True)
+class ScipSettings:
+    """What to measure. Steps of None are the device's first and last."""
+
+    first_step: int | None = None
+    last_step: int | None = None
+    cluster: int = 1
+    """Neighbouring steps that share one value, the least of them."""
+    skip: int = 0
+    """Scans left out between two."""
+    intensity: bool = False
+    two_characters: bool = False
+    """Ranges up to 4,095 mm in 12 bits: a third less on the line. Not together with intensity."""
+    counter_clockwise: bool = True
+    """Angles grow to the left of someone who looks out of the device with it upright."""
+    answer_s: float = 1.0
+    attempts: int = 3
+    silence_s: float = 2.0
+
+
+@dataclass(frozen=True, slots=True)
+class ScipGeometry:
+    """From the device's PP reply."""
+
+    model: str
+    min_range_mm: int
+    max_range_mm: int
+    steps_per_turn: int
+    first_step: int
+    last_step: int
+    front_step: int
+    rpm: int
+
+
+class ScipScanner:
+    """``drivers.base.Scanner`` for SCIP 2 devices."""
+
+    def __init__(
+        self,
+        serial: SerialSettings,
+        settings: ScipSettings,
+        sink: ByteSink,
+        clock: Clock,
+        *,
+        queue_profiles: int = 4096,
+    ) -> None:
+        self._device = serial.device
+        self._settings = settings
+        self._clock = clock
+        self._link = SerialLink(serial, sink, self._on_bytes)
+        self._reader = ReplyReader()
+        self._time = ClockUnwrapper(TIME)
+        self._changed = threading.Condition()
+        self._answers: list[Reply] = []
+        self._profiles: deque[Profile] = deque(maxlen=queue_profiles)
+        self._geometry: ScipGeometry | None = None
+        self._streaming = False
+        self._number = 0
+        self._refused = 0
+        self._last_byte_s = 0.0
+        self._last_good_s: float | None = None
+        self._started_s = 0.0
+
+    @property
+    def geometry(self) -> ScipGeometry:
+        """What the device said of itself. Raises LinkLostError before ``open``."""
+        if self._geometry is None:
+            raise LinkLostError(f"scanner line {self._device} is not open")
+        return self._geometry
+
+    def open(self) -> None:
+        """Open the line, stop whatever the device is doing, learn its geometry. Raises LinkOpenError."""
+        self._link.open()
+        try:
+            self._take_over()
+            self._geometry = geometry_of(self.ask("PP"))
+        except LinkLostError as error:
+            self._link.close()
+            raise LinkOpenError(
+                error.cause, remedy="Check power, baud rate, and that the device speaks SCIP 2."
+            ) from error
+
+    def close(self) -> None:
+        """Laser off as far as the link allows, line closed. Idempotent, never raises."""
+        if self._link.is_open:
+            try:
+                self.stop()
+            except LinkLostError as error:
+                logger.warning("laser-off is not confirmed: %s", error)
+        self._streaming = False
+        self._link.close()
+
+    def start(self) -> None:
+        """Laser on, scans flow. Raises LinkLostError if the device refuses."""
+        if self.ask("BM").status not in (codec.OK, "02"):
+            raise LinkLostError(f"the laser of {self._device} does not come on: malfunction")
+        settings = self._settings
+        first, last = self._steps()
+        command = f"{self._stream_code()}{first:04d}{last:04d}{settings.cluster:02d}{settings.skip:1d}00"
+        with self._changed:
+            self._profiles.clear()
+        reply = self.ask(command)
+        if reply.status != codec.OK:
+            raise LinkLostError(f"the scanner on {self._device} refuses {command}: status {reply.status}")
+        self._started_s = self._clock.now_s()
+        self._streaming = True
+
+    def stop(self) -> None:
+        """Laser off. Idempotent. Raises LinkLostError if the device does not confirm it."""
+        if self._streaming:
+            self._streaming = False
+            self.ask("QT")
+
+    def take(self) -> list[Profile]:
+        """Profiles since the last call. Raises LinkLostError for a broken line or a silent device."""
+        if self._link.lost is not None:
+            raise LinkLostError(f"scanner line {self._device} {self._link.lost}")
+        if self._streaming and self._silent_s() > self._settings.silence_s:
+            raise LinkLostError(f"no valid scan from {self._device} for {self._silent_s():.1f} s")
+        with self._changed:
+            profiles = list(self._profiles)
+            self._profiles.clear()
+        return profiles
+
+    def health(self) -> LinkHealth:
+        """Up: the line is open and, while streaming, scans keep coming."""
+        fresh = not self._streaming or self._silent_s() <= self._settings.silence_s
+        counters = (*self._reader.counters.as_pairs(), ("refused", self._refused))
+        return LinkHealth(self._link.is_open and fresh, self._last_good_s, counters, self._link.lost or "")
+
+    def ask(self, command: str) -> Reply:
+        """The reply to a command (VV, PP, II, TM0..2, BM, QT, RS, GD...). Raises LinkLostError if none comes."""
+        for _ in range(self._settings.attempts):
+            with self._changed:
+                self._answers.clear()
+            self._link.write(command.encode("ascii") + b"\n")
+            reply = self._await(command)
+            if reply is not None:
+                return reply
+        raise LinkLostError(f"the scanner on {self._device} does not answer {command}")
+
+    def device_time_s(self) -> float:
+        """The device's clock now (TM0, TM1, TM2), 24 bits of milliseconds. Only while nothing streams."""
+        self.ask("TM0")
+        values = codec.decode(self.ask("TM1").lines, 4)
+        self.ask("TM2")
+        if values is None or len(values) != 1:
+            raise LinkLostError(f"the scanner on {self._device} sends no time")
+        return float(values[0]) * TIME.unit_s
+
+    def _take_over(self) -> None:
+        """From an unknown state: end an unfinished line, stop streaming, wait for silence."""
+        for _ in range(self._settings.attempts):
+            self._link.write(b"\nQT\n")
+            end_s = self._clock.now_s() + self._settings.answer_s
+            while self._clock.now_s() < end_s and self._clock.now_s() - self._last_byte_s < QUIET_S:
+                self._clock.sleep(0.01)
+            self._clock.sleep(QUIET_S)
+            if self._clock.now_s() - self._last_byte_s >= QUIET_S:
+                break
+        with self._changed:
+            self._reader.flush()
+        self.ask("QT")
+
+    def _await(self, command: str) -> Reply | None:
+        deadline = self._clock.now_s() + self._settings.answer_s
+        with self._changed:
+            while True:
+                for reply in self._answers:
+                    if reply.echo == command:
+                        return reply
+                left_s = deadline - self._clock.now_s()
+                if left_s <= 0 or not self._link.is_open:
+                    return None
+                self._changed.wait(min(left_s, 0.05))
+
+    def _on_bytes(self, chunk: bytes, host_time_ns: int) -> None:
+        host_s = host_time_ns * 1e-9
+        with self._changed:
+            self._last_byte_s = host_s
+            bad = self._reader.counters.bad_checksums
+            replies = self._reader.feed(chunk)
+            self._number += self._reader.counters.bad_checksums - bad  # scans that are lost leave a gap
+            for reply in replies:
+                if reply.status == codec.STREAMING:
+                    self._on_scan(reply, host_s)
+                else:
+                    self._answers.append(reply)
+            self._changed.notify_all()
+
+    def _on_scan(self, reply: Reply, host_s: float) -> None:
+        """A streamed scan: counted always, kept if it is whole."""
+        self._number += 1
+        if self._geometry is None or not reply.lines or reply.echo[:2] != self._stream_code():
+            self._refused += 1
+            return
+        ticks = codec.decode(reply.lines[:1], 4)
+        width = 2 if self._settings.two_characters else 3
+        values = codec.decode(reply.lines[1:], width)
+        first, last = self._steps()
+        count = (last - first) // self._settings.cluster + 1
+        if ticks is None or values is None or len(values) != count * (2 if self._settings.intensity else 1):
+            self._refused += 1
+            return
+        device_s = self._time.seconds(int(ticks[0]), host_s)
+        columns = values.reshape(count, -1)
+        points, seen = self._points(columns[:, 0].astype(np.float64), first)
+        light = columns[seen, 1].astype(np.float64) if self._settings.intensity else None
+        self._profiles.append(Profile(self._number, host_s, device_s, points[seen], light, float(seen.mean())))
+        self._last_good_s = host_s
+
+    def _points(self, ranges_mm: Array, first: int) -> tuple[Array, NDArray[np.bool_]]:
+        """Points (N, 2) in metres, and which of them were measured: below DMIN the number is an error code."""
+        geometry, cluster = self.geometry, self._settings.cluster
+        step = first + cluster * np.arange(len(ranges_mm)) + (cluster - 1) / 2
+        angle = (step - geometry.front_step) * 2 * np.pi / geometry.steps_per_turn
+        seen = (ranges_mm >= geometry.min_range_mm) & (ranges_mm <= geometry.max_range_mm)
+        side = -1.0 if self._settings.counter_clockwise else 1.0
+        metres = ranges_mm * 1e-3
+        return np.stack([side * metres * np.sin(angle), metres * np.cos(angle)], axis=1), seen
+
+    def _steps(self) -> tuple[int, int]:
+        first, last = self._settings.first_step, self._settings.last_step
+        geometry = self.geometry
+        return geometry.first_step if first is None else first, geometry.last_step if last is None else last
+
+    def _stream_code(self) -> str:
+        if self._settings.intensity:
+            return "ME"
+        return "MS" if self._settings.two_characters else "MD"
+
+    def _silent_s(self) -> float:
+        return self._clock.now_s() - max(self._started_s, self._last_good_s or 0.0)
+
+
+def geometry_of(reply: Reply) -> ScipGeometry:
+    """The geometry in a PP reply. Raises LinkLostError if a key is missing."""
+    values = dict(codec.parameters(reply))
+    try:
+        numbers = [int(values[key]) for key in ("DMIN", "DMAX", "ARES", "AMIN", "AMAX", "AFRT", "SCAN")]
+    except (KeyError, ValueError) as error:
+        raise LinkLostError(f"the scanner's parameters lack {error}") from error
+    return ScipGeometry(values.get("MODL", ""), *numbers)
