@@ -22,11 +22,15 @@ class Freshness:
         self._degraded_s, self._lost_s, self._recovery_frames = degraded_s, lost_s, recovery_frames
         self.last_s: float | None = None
         self.losses = 0
+        self.late = 0
+        """Good frames that came after the silence counted as degraded, lost ones included."""
         self._good_since_loss: int | None = None
 
     def good(self, now_s: float) -> None:
         """A good frame came."""
         self._note_silence(now_s)
+        if self.last_s is not None and now_s - self.last_s > self._degraded_s:
+            self.late += 1
         if self._good_since_loss is not None:
             self._good_since_loss += 1
             if self._good_since_loss >= self._recovery_frames:

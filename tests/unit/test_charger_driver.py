@@ -89,6 +89,9 @@ def test_a_late_frame_is_not_a_loss(hearing: Hearing, gap_s: float) -> None:
     hearing.clock.time_s += gap_s
     assert hearing.state is ChargerState.IDLE
     assert ("degraded" in hearing.charger.health().detail) == (gap_s > 0.15)
+    hearing.status(after_s=0.0)
+    counters = dict(hearing.charger.health().counters)
+    assert (counters["late"], counters["losses"]) == (int(gap_s > 0.15), 0)
 
 
 def test_a_lone_late_frame_does_not_refresh_an_old_status(hearing: Hearing) -> None:
