@@ -97,6 +97,7 @@ class Links:
 
     def _open_worker(self) -> None:
         s = self._settings
+        self._close_worker()
         self._worker = WorkerClient(lambda reason: self._end_program_quietly())
         tcp = tuple(s.T_flange_tcp.vector.tolist())
         start = m.Start(

@@ -20,7 +20,7 @@ from drivers.arm.errors import (
     RegistersInUseError,
     UnreachableError,
 )
-from drivers.arm.kinematics import MODELS, forward
+from drivers.arm.kinematics import MODELS, JointLimits, forward
 from drivers.arm.motion import MotionTracker
 from drivers.arm.opening import check_version, same_model, start_error
 from drivers.arm.settings import UrSettings, Workspace
@@ -126,6 +126,15 @@ def test_a_joint_target_accounts_for_the_tcp() -> None:
     goal = state.T_base_tcp.moved([0.05, 0.0, 0.0])
     joints = validate.joint_target(goal, state, make_settings())
     assert (forward(MODELS["ur10e"], joints) @ TCP).distance_to(goal) < 1e-6
+
+
+def test_a_target_beyond_the_joint_limits_is_refused() -> None:
+    state = make_state()
+    tight = make_settings(joint_limits=JointLimits(HOME - 0.2, HOME + 0.2))
+    assert validate.joint_target(state.T_base_tcp, state, tight) == pytest.approx(HOME, abs=1e-6)
+    aside = forward(MODELS["ur10e"], HOME + np.array([0.5, 0, 0, 0, 0, 0])) @ TCP
+    with pytest.raises(UnreachableError, match="joint limits"):
+        validate.joint_target(aside, state, tight)
 
 
 def test_a_line_out_of_reach_is_refused() -> None:
