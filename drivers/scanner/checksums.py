@@ -8,7 +8,9 @@ detection algorithms", 1993).
 
 from __future__ import annotations
 
+import zlib
 from collections.abc import Callable
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -16,18 +18,24 @@ from numpy.typing import NDArray
 
 from drivers.frame_format import Checksum
 
+CRC32_OF_ZIP = Checksum("crc32", poly=0x04C11DB7, init=0xFFFFFFFF, xor_out=0xFFFFFFFF, reflected=True)
+"""The one that the standard library computes faster still."""
+
 Bytes2d = NDArray[np.uint8]
 Sums = NDArray[np.uint32]
 
 
 def checksum_function(checksum: Checksum, length: int) -> Callable[[Bytes2d], Sums]:
     """A function from frames' covered bytes (N, length) to their checksums (N,)."""
+    checksum = replace(checksum, from_byte=0)
     if checksum.algorithm == "none":
         return lambda frames: np.zeros(len(frames), np.uint32)
     if checksum.algorithm == "sum8":
         return lambda frames: frames.sum(axis=1, dtype=np.uint32) & np.uint32(0xFF)
     if checksum.algorithm == "xor8":
         return lambda frames: np.bitwise_xor.reduce(frames, axis=1).astype(np.uint32)
+    if checksum == CRC32_OF_ZIP:
+        return lambda frames: np.array([zlib.crc32(frame) for frame in np.ascontiguousarray(frames)], np.uint32)
     return _crc_function(checksum, length)
 
 
