@@ -23,6 +23,7 @@ from drivers.charger.settings import CanSettings
 
 _log = logging.getLogger(__name__)
 _WRITE_TIMEOUT_S = 0.1
+_LONGEST_PATIENCE_S = 60.0
 _FULL_S = 0.25
 """A queue that stays full for this long is a bus on which nobody acknowledges."""
 
@@ -51,6 +52,7 @@ class BusLink:
         self._full_since_s: float | None = None
         self._condition = ""
         self._trouble = ""
+        self._heard_s, self._patience_s = 0.0, settings.reset_silence_s
         self.counters: Counter[str] = Counter()
 
     @property
@@ -62,6 +64,7 @@ class BusLink:
         """Open the bus and start both threads. Raises LinkOpenError."""
         self._closing.clear()
         self._broken.clear()
+        self._heard_s, self._patience_s = self._clock.now_s(), self._settings.reset_silence_s
         self._bus = open_bus(self._settings, self._fd, self._filters)
         self._threads = [
             threading.Thread(target=self._read, name="can-read", daemon=True),
@@ -111,6 +114,16 @@ class BusLink:
             else:
                 if message is not None:
                     self._take(message)
+                elif self._settings.interface == "slcan":
+                    self._reset_when_silent()
+
+    def _reset_when_silent(self) -> None:
+        """An adapter that was reset has forgotten bit rate and open channel, and says nothing about it."""
+        if self._clock.now_s() - self._heard_s > self._patience_s:
+            self._patience_s = min(2.0 * self._patience_s, _LONGEST_PATIENCE_S)
+            self._heard_s = self._clock.now_s()
+            self.counters["adapter_resets"] += 1
+            self._broken.set()
 
     def _skip_garbage(self, error: Exception) -> None:
         self.counters["garbage"] += 1
@@ -121,7 +134,8 @@ class BusLink:
                 flush()
 
     def _take(self, message: can.Message) -> None:
-        now_s = self._clock.now_s()
+        now_s = self._heard_s = self._clock.now_s()
+        self._patience_s = self._settings.reset_silence_s
         self._record(message, "rx", now_s)
         data = bytes(message.data)
         if message.is_error_frame:

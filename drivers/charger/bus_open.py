@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import contextlib
+import fcntl
+import os
 from typing import Any
 
 import can
 
+from drivers.base import LinkOpenError
 from drivers.charger.bus_errors import open_error
 from drivers.charger.settings import CanSettings
 
@@ -19,6 +22,8 @@ def open_bus(
     settings: CanSettings, fd: bool = False, filters: list[Filter] | None = None, listen_only: bool = False
 ) -> Any:
     """A ``can.Bus`` that gets only the frames of ``filters`` (None: all). Raises LinkOpenError."""
+    if settings.interface == "slcan":
+        _refuse_taken(settings)
     try:
         bus = can.Bus(
             channel=settings.channel,
@@ -81,8 +86,25 @@ def _timing(settings: CanSettings) -> can.BitTimingFd:
     )
 
 
+def _refuse_taken(settings: CanSettings) -> None:
+    """A tty that another process has claimed is left alone: even opening the adapter would close its channel."""
+    try:
+        descriptor = os.open(settings.channel.split("@")[0], os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+    except OSError:
+        return  # opening the bus says why in its own words
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        raise LinkOpenError(
+            f"the CAN adapter at {settings.channel} is taken by another process",
+            remedy="Stop the other program that has it open.",
+        ) from None
+    finally:
+        os.close(descriptor)
+
+
 def _claim(bus: Any, settings: CanSettings) -> None:
-    """slcan: refuse a tty that another process has claimed; two readers would share its bytes."""
+    """slcan: nobody else may open the tty from now on; two readers would share its bytes."""
     port = getattr(bus, "serialPortOrig", None)
     if port is None:
         return

@@ -41,3 +41,5 @@ class CanSettings:
     reopen_first_s: float = 0.2
     reopen_max_s: float = 2.0
     """Pause before a broken bus is opened again: doubled from the first to the largest."""
+    reset_silence_s: float = 2.0
+    """slcan only: silence after which the adapter is set up afresh, as it may have lost its set-up; then doubled."""

@@ -82,11 +82,25 @@ def test_another_bit_rate_that_the_adapter_does_not_have_is_one_line(mock: MockP
     assert "bit" in error.cause
 
 
-def test_a_second_process_on_the_same_tty_is_refused(bench: Bench) -> None:
-    bench.charger.open()
+def test_a_second_process_on_the_same_tty_is_refused_and_does_no_harm(bench: Bench) -> None:
+    bench.welcome()
     error = _open_error(channel=str(bench.mock.link))
-    assert "cannot be opened" in error.cause
-    # the intruder's set-up closed the adapter's channel: what any tty shared by two hosts suffers
+    assert "taken by another process" in error.cause
+    bench.must(ChargerRequest.RESERVE)
+    assert dict(bench.charger.health().counters)["losses"] == 0
+
+
+def test_an_adapter_that_forgot_its_set_up_is_set_up_again(mock: MockProcess) -> None:
+    bench = Bench(mock.fresh(), reset_silence_s=0.5, reopen_first_s=0.05)
+    try:
+        bench.welcome()
+        with mock.link.open("wb", buffering=0) as tty:
+            tty.write(b"C\r")  # what a reset does: the channel is closed, the tty stays
+        bench.until(lambda: _is_lost(bench))
+        bench.until(lambda: not _is_lost(bench))
+        assert dict(bench.charger.health().counters)["adapter_resets"] >= 1
+    finally:
+        bench.close()
 
 
 def test_garbage_on_the_wire_costs_frames_but_not_the_link(bench: Bench) -> None:
