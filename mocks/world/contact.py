@@ -2,12 +2,12 @@
 
 Quasi-static and deliberately simple, so that the outcome can be told beforehand from the misalignment alone: whether
 the plug enters is decided when its face crosses the rim plane. Outside the capture range it lands on the vehicle's
-face. Inside, lead-in chamfers centre it (springs across, about the axis and in tilt), friction resists along the axis,
-rises with depth, lets go just before home (the seating click), and a hard stop ends the way; so does whatever blocks
-the port. A locked latch holds a plug that is home. The stiffness stands for arm, bracket, plug and inlet together.
+face, where friction holds it against small forces across but not against a search. Inside, lead-in chamfers centre it
+(springs across, about the axis and in tilt), friction resists along the axis, rises with depth, lets go just before
+home (the seating click), and a hard stop ends the way; so does whatever blocks the port. A locked latch holds a plug
+that is home. The stiffness stands for arm, bracket, plug and inlet together.
 
-Not simulated: single contacts and pins, deformation and damage, the cable's pull, friction of the plug on the face,
-dynamics and impact.
+Not simulated: single contacts and pins, deformation and damage, the cable's pull, dynamics and impact.
 """
 
 from __future__ import annotations
@@ -57,6 +57,8 @@ class ContactParameters:
     """Moments count as a pair of lateral forces on this lever."""
     latch_play_m: float = 0.0003
     seated_within_m: float = 0.0005
+    face_friction: float = 0.1
+    """Force across that the face takes up, as a share of the force on it; moments on ``jam_lever_m``."""
     face_radius_m: float = 0.3
     """The vehicle's face around the port; beyond it there is nothing to touch."""
 
@@ -119,6 +121,8 @@ class ContactState:
     """The latch closed while the plug was home."""
     anchor_m: float = 0.0
     """Depth at which axial friction would be relaxed."""
+    face_anchor: tuple[float, ...] | None = None
+    """Where (x, y) and how turned (rotation vector) the plug would rest on the face without friction's pull."""
 
 
 def misalignment(T_port_tcp: Array, port: Port) -> Misalignment:
@@ -155,7 +159,7 @@ def step(state: ContactState, plug: Misalignment, port: Port, locked: bool) -> t
     if state.captured:
         state, wrench = _inside(state, plug, port, locked)
     else:
-        wrench = _on_face(plug, port)
+        state, wrench = _on_face(state, plug, port)
     home = plug.depth_m >= port.mated_depth_m - port.parameters.seated_within_m
     told = PlugState(
         depth_m=plug.depth_m,
@@ -187,11 +191,20 @@ def _enter_or_leave(state: ContactState, plug: Misalignment, port: Port) -> Cont
     return state
 
 
-def _on_face(plug: Misalignment, port: Port) -> Array:
+def _on_face(state: ContactState, plug: Misalignment, port: Port) -> tuple[ContactState, Array]:
+    p = port.parameters
     wrench = np.zeros(6)
-    if plug.depth_m > 0.0 and plug.lateral_m < port.parameters.face_radius_m:
-        wrench[2] = port.parameters.face_stiffness * plug.depth_m
-    return wrench
+    if plug.depth_m <= 0.0 or plug.lateral_m >= p.face_radius_m:
+        return ContactState(), wrench
+    wrench[2] = p.face_stiffness * plug.depth_m
+    here = np.concatenate([plug.lateral, plug.rotvec])
+    pull = here - (here if state.face_anchor is None else np.array(state.face_anchor))
+    hold = p.face_friction * wrench[2]
+    pull[:2] = _within(pull[:2], hold / p.lateral_stiffness)
+    pull[2:] = _within(pull[2:], hold * p.jam_lever_m / p.tilt_stiffness)
+    wrench[:2] = -p.lateral_stiffness * pull[:2]
+    wrench[3:] = -p.tilt_stiffness * pull[2:]
+    return ContactState(face_anchor=tuple(float(value) for value in here - pull)), wrench
 
 
 def _inside(state: ContactState, plug: Misalignment, port: Port, locked: bool) -> tuple[ContactState, Array]:
@@ -212,6 +225,12 @@ def _inside(state: ContactState, plug: Misalignment, port: Port, locked: bool) -
     if held:
         wrench[2] -= p.stop_stiffness * max(0.0, port.mated_depth_m - p.latch_play_m - plug.depth_m)
     return replace(state, held=held, anchor_m=plug.depth_m - stretch), wrench
+
+
+def _within(vector: Array, limit: float) -> Array:
+    """A vector shortened to a limit."""
+    size = float(np.linalg.norm(vector))
+    return vector * (limit / size) if size > limit else vector
 
 
 def _beyond(vector: Array, play: float) -> Array:

@@ -351,6 +351,26 @@ def test_after_the_client_is_killed_only_a_watchdog_stops_the_arm(lone: MockUr, 
     assert still(state) is watchdog
 
 
+def test_a_lost_link_stops_the_arm_by_its_watchdog_whatever_becomes_of_the_client(lone: MockUr) -> None:
+    """A mere reset or frozen data would not do: ur_rtde reconnects by itself, or goes on kicking on old data."""
+    client = start_client(SPEEDL.replace('"WATCHDOG"', "True"), lone.host)
+    try:
+        lone.until(lambda state: abs(state["tool_speed"][2] - 0.02) < 1e-4, 60.0)
+        lone.do("down", link="rtde")
+        lone.until(still)
+    finally:
+        client.kill()
+        client.communicate()
+        lone.do("up", link="rtde")
+
+
+def test_ports_that_are_down_refuse_and_come_back(lone: MockUr) -> None:
+    lone.do("down", link="all")
+    assert "verify the IP" in run_client(CONNECT, lone.host).stdout
+    lone.do("up", link="all")
+    assert "connected" in run_client(CONNECT, lone.host).stdout
+
+
 def test_a_frozen_link_looks_alive_and_a_dropped_one_can_be_reopened(lone: MockUr) -> None:
     receive = RTDEReceiveInterface(lone.host, HZ)
     lone.do("freeze", seconds=0.3)

@@ -71,6 +71,15 @@ def test_outside_capture_the_plug_lands_on_the_face_and_the_force_only_rises() -
     assert not any(state.captured for state, _, _ in trace)
 
 
+def test_the_face_holds_a_plug_against_a_small_pull_but_not_against_a_search() -> None:
+    state, wrench, _ = contact.step(contact.ContactState(), _plug(0.003, (0.004, 0.0)), PORT, False)
+    state, wrench, _ = contact.step(state, _plug(0.003, (0.0039, 0.0)), PORT, False)
+    assert wrench[0] == pytest.approx(10e3 * 0.0001)
+    for x in np.arange(0.0039, 0.003, -0.0001):
+        state, wrench, _ = contact.step(state, _plug(0.003, (float(x), 0.0)), PORT, False)
+    assert wrench[0] == pytest.approx(0.1 * wrench[2])
+
+
 def test_a_plug_moved_across_the_face_into_capture_falls_in() -> None:
     state, wrench, _ = contact.step(contact.ContactState(), _plug(0.001, (0.004, 0.0)), PORT, False)
     assert not state.captured and wrench[2] > 10.0
