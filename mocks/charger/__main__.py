@@ -21,6 +21,7 @@ import os
 import select
 import signal
 import sys
+import tempfile
 import time
 from pathlib import Path
 from types import FrameType
@@ -38,35 +39,54 @@ _POLL_S = 0.003
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Serve until SIGTERM."""
+    """Serve until SIGTERM. Exit status 3: the bus cannot be opened; 2: something else named cannot be used."""
     options = _options(arguments)
     logging.basicConfig(level=logging.INFO if options.verbose else logging.WARNING, format="%(message)s")
+    stop = _Stop()
     with contextlib.ExitStack() as stack:
-        ports: list[BusPort] = []
-        for link in options.link:
-            ports.append(SlcanPort(link, options.bitrate))
-        if options.interface != "slcan":
-            ports.append(PythonCanPort(options.interface, options.channel, options.bitrate, options.fd))
-        for port in ports:
-            stack.callback(port.close)
-        world: Surroundings = Shared(options.world) if options.world else Alone(options.time_scale)
-        device = MockCharger(
-            Frames(options.dbc, options.protection),
-            ports,
-            world,
-            np.random.default_rng(options.seed),
-            lost_s=options.lost_ms / 1000.0,
-        )
-        channel = options.channel if options.interface != "slcan" else str(options.link[0])
-        sys.stdout.write(json.dumps({"interface": options.interface, "channel": channel}) + "\n")
+        try:
+            frames = Frames(options.dbc, options.protection)
+            world: Surroundings = Shared(options.world) if options.world else Alone(options.time_scale)
+        except Exception as error:  # cantools lets its parser's own exceptions through
+            return _complain(2, error)
+        try:
+            ports = _ports(options, stack)
+        except Exception as error:  # so does python-can with its back-ends'
+            return _complain(3, error)
+        rng = np.random.default_rng(options.seed)
+        device = MockCharger(frames, ports, world, rng, lost_s=options.lost_ms / 1000.0)
+        where = {"interface": options.interface, "channel": options.channel or str(options.link[0])}
+        sys.stdout.write(json.dumps(where) + "\n")
         sys.stdout.flush()
-        _serve(device, ports)
+        _serve(device, ports, stop)
     return 0
+
+
+def _ports(options: argparse.Namespace, stack: contextlib.ExitStack) -> list[BusPort]:
+    """Open every connection to the bus; the stack closes them."""
+    ports: list[BusPort] = []
+    if options.interface == "slcan" and not options.link:
+        folder = stack.enter_context(tempfile.TemporaryDirectory(prefix="portdock-can-"))
+        options.link = [Path(folder) / "can"]
+    for link in options.link:
+        ports.append(SlcanPort(link, options.bitrate))
+        stack.callback(ports[-1].close)
+    if options.interface != "slcan":
+        ports.append(PythonCanPort(options.interface, options.channel, options.bitrate, options.fd))
+        stack.callback(ports[-1].close)
+    return ports
+
+
+def _complain(status: int, error: Exception) -> int:
+    sys.stderr.write(f"mock charger: {' '.join(str(error).split()) or type(error).__name__}\n")
+    return status
 
 
 def _options(arguments: list[str] | None) -> argparse.Namespace:
     parser = argparse.ArgumentParser(prog="mocks.charger", description="A charger's control unit on a mock CAN bus.")
-    parser.add_argument("--link", type=Path, action="append", default=[], help="symlink to a slcan adapter's tty")
+    parser.add_argument(
+        "--link", type=Path, action="append", default=[], help="symlink to a slcan adapter's tty; may be repeated"
+    )
     parser.add_argument("--interface", default="slcan", help="slcan, or a python-can interface")
     parser.add_argument("--channel", default="", help="channel of the python-can interface")
     parser.add_argument("--bitrate", type=int, default=250_000)
@@ -81,32 +101,34 @@ def _options(arguments: list[str] | None) -> argparse.Namespace:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--verbose", action="store_true")
     options = parser.parse_args(arguments)
-    if options.interface == "slcan" and not options.link:
-        parser.error("slcan needs --link PATH")
     if options.interface != "slcan" and not options.channel:
         parser.error(f"{options.interface} needs --channel")
     return options
 
 
-def _serve(device: MockCharger, ports: list[BusPort]) -> None:
-    stopping = False
+class _Stop:
+    """SIGTERM and SIGINT, as a flag and as something to wait on."""
 
-    def stop(signum: int, frame: FrameType | None) -> None:
-        nonlocal stopping
-        stopping = True
+    def __init__(self) -> None:
+        self.wanted = False
+        self.descriptor, wake = os.pipe()
+        os.set_blocking(wake, False)
+        signal.signal(signal.SIGTERM, self._come)
+        signal.signal(signal.SIGINT, self._come)
+        signal.set_wakeup_fd(wake)
 
-    signal.signal(signal.SIGTERM, stop)
-    signal.signal(signal.SIGINT, stop)
-    wake_read, wake_write = os.pipe()
-    os.set_blocking(wake_write, False)
-    signal.set_wakeup_fd(wake_write)
+    def _come(self, signum: int, frame: FrameType | None) -> None:
+        self.wanted = True
+
+
+def _serve(device: MockCharger, ports: list[BusPort], stop: _Stop) -> None:
     controls = bytearray()
-    listening = not sys.stdin.closed
-    while not stopping:
+    listening = True
+    while not stop.wanted:
         due_s = device.turn(time.monotonic())
         descriptors = [port.descriptor() for port in ports]
         longest_s = _POLL_S if None in descriptors else _LONGEST_WAIT_S
-        waiting: list[int] = [wake_read, *(d for d in descriptors if d is not None)]
+        waiting: list[int] = [stop.descriptor, *(d for d in descriptors if d is not None)]
         if listening:
             waiting.append(sys.stdin.fileno())
         ready, _, _ = select.select(waiting, [], [], min(longest_s, max(0.0, due_s - time.monotonic())))
