@@ -36,6 +36,8 @@ log = logging.getLogger(__name__)
 SAFE = (SafetyMode.NORMAL, SafetyMode.REDUCED)
 SAME_TCP_M, SAME_TCP_RAD = 1e-5, 1e-4
 SAME_PAYLOAD_KG, SAME_COG_M = 0.01, 0.001
+END_PROGRAM_S = 0.5
+"""The dashboard answers a stop within milliseconds; the supervisor's tick may be waiting for it."""
 PAYLOAD_SHOWN_S = 1.0
 """Within this the controller's state must show the payload that was set."""
 
@@ -98,7 +100,7 @@ class Links:
     def _open_worker(self) -> None:
         s = self._settings
         self._close_worker()
-        self._worker = WorkerClient(lambda reason: self._end_program_quietly())
+        self._worker = WorkerClient(lambda reason: self._begin_to_end_program())
         tcp = tuple(s.T_flange_tcp.vector.tolist())
         start = m.Start(
             s.host, s.frequency_hz, s.upper_registers, s.watchdog_hz, tcp, s.payload_kg, s.centre_of_gravity_m
@@ -176,7 +178,7 @@ class Links:
     def end_program(self) -> None:
         """Stop the program, and with it the arm, over the dashboard. Raises ControlLinkLostError if it is not there."""
         try:
-            with Dashboard(self._settings.host, self._settings.connect_timeout_s) as dashboard:
+            with Dashboard(self._settings.host, END_PROGRAM_S) as dashboard:
                 dashboard.stop()
         except ProtocolError as error:  # such as no program to stop
             log.warning("%s", error)
@@ -189,11 +191,15 @@ class Links:
         except DriverError as error:
             log.error("%s", error)
 
+    def _begin_to_end_program(self) -> None:
+        """From threads that must not wait for the dashboard."""
+        self._ender = threading.Thread(target=self._end_program_quietly, name="arm-end-program", daemon=True)
+        self._ender.start()
+
     def _on_state(self, state: ArmState) -> None:
         """Reader thread: when a safety stop begins, end the program, so that no release lets the old motion go on."""
         safe = state.safety in SAFE
         if self._safe and not safe:
             log.warning("safety mode %s: the program is ended", state.safety.name)
-            self._ender = threading.Thread(target=self._end_program_quietly, name="arm-end-program", daemon=True)
-            self._ender.start()
+            self._begin_to_end_program()
         self._safe = safe

@@ -164,6 +164,22 @@ def test_a_robot_that_vanishes_is_reported_and_no_call_hangs(rig_to_kill) -> Non
     assert time.monotonic() - begun < 5.0
 
 
+def test_a_controller_that_stops_executing_blocks_no_caller_for_long(rig) -> None:
+    rig.arm.move_velocity(UP, 0.5)
+    rig.until_moving()
+    rig.mock.process.send_signal(signal.SIGSTOP)
+    try:
+        begun = time.monotonic()
+        with pytest.raises(LinkLostError):
+            rig.arm.stop()
+        with pytest.raises(LinkLostError):
+            rig.arm.kick_watchdog()
+        assert time.monotonic() - begun < 3.0  # 1 on a quiet machine
+    finally:
+        rig.mock.process.send_signal(signal.SIGCONT)
+    rig.mock.until_still()
+
+
 def test_closed_ports_then_a_robot_that_is_back(rig) -> None:
     set_moving(rig)
     rig.mock.do("down", link="all")

@@ -90,6 +90,24 @@ def test_agrees_with_ur_analytic_ik(name) -> None:
             assert turn_distance(mine, solution).min() < 1e-6
 
 
+def test_agrees_with_the_mock_controllers_own_kinematics() -> None:
+    from mocks.ur.kinematics import MODELS as THEIRS
+    from mocks.ur.kinematics import Kinematics
+
+    rng = np.random.default_rng(3)
+    common = sorted(set(THEIRS) & set(MODELS))
+    assert "ur10e" in common
+    for name in common:
+        mock = Kinematics(THEIRS[name])
+        for joints in rng.uniform(-np.pi, np.pi, (20, 6)):
+            pose = forward(MODELS[name], joints)
+            assert np.abs(pose.matrix - mock.flange(joints)).max() < 1e-9
+            theirs, mine = mock.solutions(pose.matrix), inverse(MODELS[name], pose)
+            assert len(theirs) == len(mine)
+            for solution in theirs:
+                assert turn_distance(mine, np.asarray(solution)).min() < 1e-6
+
+
 def test_a_pose_out_of_reach_has_no_solution() -> None:
     assert len(inverse(UR10E, Pose(np.eye(3), np.array([1.6, 0.0, 0.3])))) == 0
 
