@@ -6,6 +6,8 @@ Time-outs of this file are emulated time wherever the mock can be asked; nothing
 from __future__ import annotations
 
 import contextlib
+import subprocess
+import sys
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -382,6 +384,20 @@ def test_a_frozen_link_looks_alive_and_a_dropped_one_can_be_reopened(lone: MockU
     stamp = receive.getTimestamp()
     wait_until(lambda: receive.getTimestamp() > stamp)
     receive.disconnect()
+
+
+def test_a_second_mock_on_the_same_address_says_so_in_one_line(lone: MockUr, tmp_path: Path) -> None:
+    for arguments in (["--host", lone.host], ["--host", "127.0.0.2", "--world", str(tmp_path)]):
+        command = [sys.executable, "-m", "mocks.ur", *arguments]
+        mock = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+        assert (mock.returncode, mock.stdout) == (3, "")
+        assert mock.stderr.startswith("mock arm: ") and mock.stderr.count("\n") == 1
+
+
+def test_sigterm_ends_the_mock_in_good_order() -> None:
+    with MockUr() as mock:
+        mock.process.terminate()
+        assert mock.process.wait(20.0) == 0
 
 
 def test_two_controllers_live_side_by_side_and_a_newer_version_works(lone: MockUr) -> None:
