@@ -29,8 +29,8 @@ _SELF_PAIRS = np.array(
 _FRAME_OF_LINK = np.array([0, 1, 2, 2, 3, 3, 4, 5, 6])
 
 _GOLDEN = (np.sqrt(5.0) - 1.0) / 2.0
-_GOLDEN_ROUNDS = 20
-"""Leaves 7e-5 of a link's length."""
+_GOLDEN_ROUNDS = 16
+"""Leaves 5e-4 of a link's length."""
 
 
 @dataclass(frozen=True, slots=True)
