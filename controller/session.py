@@ -25,6 +25,8 @@ from controller.pace import PacedClock
 from controller.perception_worker import PerceptionWorker, PreparedModel
 from controller.port_files import load_port
 from controller.recorder import Recorder
+from controller.recording_log import log_into
+from controller.recording_ring import prune
 from controller.report import write_report
 from controller.summary import ContactSummary, LocateSummary, MissionSummary
 from controller.supervisor import Sources, Supervisor
@@ -116,6 +118,7 @@ def run_session(
                 folder.rmdir()
             raise
         _attach_context(recorder, config, model, dict(notes))
+        closing.enter_context(log_into(recorder))
         supervisor = Supervisor(Sources(devices.arm, devices.charger, devices.scanner), clock, wall)
         supervisor.facts.mode = heartbeat_mode
         supervisor.start()
@@ -141,6 +144,9 @@ def run_session(
         for name in ("arm", "scanner", "charger"):
             recorder.link(name, getattr(devices, name).health())
         recorder.close(summary)
+        if recorder.failure is not None:
+            log.error("the recording is not complete: %s", recorder.failure)
+    prune(Path(config.recording.folder), int(config.recording.keep_mb * 1e6))
     return _with_report(summary, folder)
 
 
@@ -158,6 +164,7 @@ def _attach_context(recorder: Recorder, config: SiteConfig, model: PreparedModel
     np.savez_compressed(buffer, points=model.points.astype(np.float32))
     recorder.attach("model_points.npz", buffer.getvalue(), "application/x-npz")
     recorder.metadata("mission", values | {"model": model.checksum})
+    recorder.transform("flange", "scanner", config.scanner.T_flange_scanner.pose)
 
 
 def _summary(
