@@ -10,6 +10,7 @@ from __future__ import annotations
 import importlib.resources
 import math
 from dataclasses import dataclass
+from numbers import Integral
 from pathlib import Path
 from typing import Any
 
@@ -73,8 +74,9 @@ class Codec:
         for name, value in values.items():
             if not math.isfinite(value):
                 raise FrameError(f"{self.name}.{name} is not a finite number")
+        plain = {name: int(v) if isinstance(v, Integral) else float(v) for name, v in values.items()}  # not numpy's
         try:
-            frame: bytes = self.message.encode(self._idle() | values | self._counted(counter))
+            frame: bytes = self.message.encode(self._idle() | plain | self._counted(counter))
         except (cantools.database.errors.EncodeError, OverflowError, ValueError) as error:
             raise FrameError(f"{self.name}: {error}") from error
         return self.protection.seal(frame)

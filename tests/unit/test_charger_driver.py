@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
 import pytest
 
 from drivers.base import ChargerState, CommandRejectedError, Heartbeat, LinkLostError
@@ -84,6 +85,18 @@ def test_after_a_loss_three_good_frames_are_needed_beyond_the_first(hearing: Hea
     assert states == [None, None, None, ChargerState.IDLE]
 
 
+def test_a_damaged_frame_starts_the_recovery_again(hearing: Hearing) -> None:
+    hearing.status(after_s=1.0)
+    hearing.status()
+    hearing.status()
+    hearing.charger._receive(STATUS.arbitration_id, bytes(8), hearing.clock.time_s)
+    hearing.status()
+    hearing.status()
+    assert hearing.state is None
+    hearing.status()
+    assert hearing.state is ChargerState.IDLE
+
+
 @pytest.mark.parametrize("gap_s", [0.05, 0.14, 0.24])
 def test_a_late_frame_is_not_a_loss(hearing: Hearing, gap_s: float) -> None:
     hearing.clock.time_s += gap_s
@@ -137,3 +150,30 @@ def test_faults_are_told_from_reasons_of_a_refusal(hearing: Hearing) -> None:
 def test_a_heartbeat_that_does_not_fit_is_refused_in_words(hearing: Hearing) -> None:
     with pytest.raises(CommandRejectedError, match="RC_Heartbeat"):
         hearing.charger.heartbeat(Heartbeat(mode=16, state=0, flags=0, cycle_id=0))
+
+
+@pytest.mark.parametrize("cases", [10_000, pytest.param(100_000, marks=pytest.mark.long)])
+def test_a_damaged_frame_is_never_accepted(cases: int) -> None:
+    """One or two flipped bits, a burst of up to eight, or a cut: whatever the frame said, it does not count."""
+    rng = np.random.default_rng(7)
+    hearing = Hearing()
+    hearing.status(counter=0)
+    incoming = hearing.charger._incoming
+    for _ in range(cases):
+        whole = STATUS.encode(1, State=rng.integers(12), Prox=rng.integers(5), AckSeq=rng.integers(256))
+        assert not incoming.take(STATUS.arbitration_id, _damaged(whole, rng), hearing.clock.time_s)
+    counters = incoming.counters()
+    assert counters["bad_checksums"] + counters["bad_frames"] == cases
+    assert incoming.status is None
+
+
+def _damaged(frame: bytes, rng: np.random.Generator) -> bytes:
+    kind = rng.integers(4)
+    if kind == 0:
+        return frame[: rng.integers(8)]
+    if kind == 1:  # a burst inside the payload
+        mask = int(rng.integers(1, 256)) << int(rng.integers(49))
+    else:
+        bits = rng.choice(64, size=kind - 1, replace=False)
+        mask = sum(1 << int(bit) for bit in bits)
+    return (int.from_bytes(frame, "big") ^ mask).to_bytes(8, "big")

@@ -226,3 +226,10 @@ def test_a_broken_file_is_one_line_of_cause(tmp_path: Path, text: str) -> None:
 def test_a_file_that_is_not_there_is_named(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="there is no DBC"):
         Contract(tmp_path / "none.dbc")
+
+
+def test_numpys_numbers_are_numbers_too() -> None:
+    codec = CONTRACT["RC_Heartbeat"]
+    plain = codec.encode(3, Mode=2, State=7, Flags=0x01ED, CycleId=0x1234)
+    assert codec.encode(3, Mode=np.int64(2), State=np.uint8(7), Flags=0x01ED, CycleId=np.float32(0x1234)) == plain
+    assert plain == _literal("RC_Heartbeat")
