@@ -24,10 +24,10 @@ from controller.mission import Mission
 from controller.pace import PacedClock
 from controller.perception_worker import PerceptionWorker, PreparedModel
 from controller.port_files import load_port
-from controller.recorder import Recorder
-from controller.recording_log import log_into
-from controller.recording_ring import prune
-from controller.report import write_report
+from controller.recording.log import log_into
+from controller.recording.recorder import Recorder
+from controller.recording.ring import prune
+from controller.reports.mission import write_report
 from controller.summary import ContactSummary, LocateSummary, MissionSummary
 from controller.supervisor import Sources, Supervisor
 from drivers.base import MonotonicClock

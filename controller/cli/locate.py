@@ -80,7 +80,7 @@ def as_text(scan: Path, estimate: PortEstimate) -> str:
 def _write_report(
     folder: Path, scan: Path, cloud: Cloud, estimate: PortEstimate, prior: Prior | None, model: object
 ) -> None:
-    from controller.locate_report import write_report
+    from controller.reports.locate import write_report
     from perception.port_model import PortModel
 
     assert isinstance(model, PortModel)

@@ -8,11 +8,11 @@ from typing import Annotated
 
 import typer
 
-from controller.recording_compare import first_difference
-from controller.recording_export import ExportFormat, export
-from controller.recording_reader import Recording, read_recording
-from controller.recording_recovery import recover
-from controller.report import write_report
+from controller.recording.compare import first_difference
+from controller.recording.export import ExportFormat, export
+from controller.recording.reader import Recording, read_recording
+from controller.recording.recovery import recover
+from controller.reports.mission import write_report
 
 app = typer.Typer(help="Look into, repair and export the recording of a mission.", no_args_is_help=True)
 

@@ -7,14 +7,14 @@ import sys
 import textwrap
 from pathlib import Path
 
-from controller.recording_reader import read_recording
-from controller.recording_recovery import recover
+from controller.recording.reader import read_recording
+from controller.recording.recovery import recover
 
 PRELUDE = """
 import sys, time
 from pathlib import Path
-from controller.recorder import Recorder
-from controller.recording_errors import RecordingError
+from controller.recording.recorder import Recorder
+from controller.recording.errors import RecordingError
 from drivers.base import CanFrame, MonotonicClock
 recorder = Recorder(Path(sys.argv[1]), MonotonicClock())
 """

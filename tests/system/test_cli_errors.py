@@ -93,6 +93,7 @@ class TestLinksThatCannotBeOpened:
                 "--json",
             ],
             capture_output=True,
+            check=False,
             text=True,
             timeout=110,
             cwd=folder,

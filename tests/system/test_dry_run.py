@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from controller.recording_reader import read_recording
+from controller.recording.reader import read_recording
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(400)]
 
@@ -43,6 +43,7 @@ def dry_run(folder: Path, scenario: str, seed: int = 0) -> Run:
     done = subprocess.run(
         command("--fast", "--json", "--scenario", scenario, "--seed", str(seed), "--out", str(out)),
         capture_output=True,
+        check=False,
         text=True,
         timeout=380,
         cwd=folder,

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from controller.recorder import Recorder
+from controller.recording.recorder import Recorder
 from controller.summary import ContactSummary, LocateSummary, MissionSummary
 from drivers.base import ArmCommandRecord, ArmState, CanFrame, LinkHealth, RobotMode, SafetyMode
 from perception.estimate import PortEstimate

@@ -11,10 +11,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from controller import recording_file
-from controller.recorder import Recorder
-from controller.recording_errors import RecordingError, RecordingTargetError
-from controller.recording_reader import read_recording
+from controller.recording import file as recording_file
+from controller.recording.errors import RecordingError, RecordingTargetError
+from controller.recording.reader import read_recording
+from controller.recording.recorder import Recorder
 from drivers.base import ArmCommandRecord, ArmState, ByteSink, CanFrame
 from perception.geometry import Pose
 from tests.unit.recording_samples import (

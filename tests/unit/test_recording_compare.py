@@ -10,9 +10,9 @@ import pytest
 from typer.testing import CliRunner
 
 from controller.cli.recording import app
-from controller.recorder import Recorder
-from controller.recording_compare import first_difference
-from controller.recording_reader import Recording, read_recording
+from controller.recording.compare import first_difference
+from controller.recording.reader import Recording, read_recording
+from controller.recording.recorder import Recorder
 from drivers.base import ArmCommandRecord
 from perception.geometry import Pose
 from tests.unit.recording_samples import ManualClock, estimate, new_recorder

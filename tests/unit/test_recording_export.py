@@ -11,10 +11,10 @@ import pytest
 from typer.testing import CliRunner
 
 from controller.cli.recording import app
-from controller.recording_errors import RecordingFileError
-from controller.recording_export import ExportFormat, export
-from controller.recording_reader import Recording, read_recording
-from controller.recording_ring import prune
+from controller.recording.errors import RecordingFileError
+from controller.recording.export import ExportFormat, export
+from controller.recording.reader import Recording, read_recording
+from controller.recording.ring import prune
 from drivers.base import CanFrame
 from perception.cloud_io import read_cloud
 from tests.unit.recording_samples import estimate, new_recorder, record_mission, scan_cloud

@@ -9,10 +9,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from mcap.reader import make_reader
 
-from controller import recording_messages as messages
-from controller import recording_schemas as schemas
-from controller.recording_protobuf import Field, Layout, read_varint, varint
-from controller.recording_records import (
+from controller.recording import messages, schemas
+from controller.recording.protobuf import Field, Layout, read_varint, varint
+from controller.recording.records import (
     ARM_STATE,
     arm_table,
     decode_can_frame,

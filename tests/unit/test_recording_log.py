@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from controller.recording_log import log_into
+from controller.recording.log import log_into
 
 
 class Notes:

@@ -14,10 +14,10 @@ from mcap.exceptions import McapError
 from mcap.reader import make_reader
 from mcap.stream_reader import StreamReader
 
-from controller import recording_recovery
-from controller.recording_errors import RecordingFileError
-from controller.recording_reader import read_recording
-from controller.recording_recovery import recover
+from controller.recording import recovery as recording_recovery
+from controller.recording.errors import RecordingFileError
+from controller.recording.reader import read_recording
+from controller.recording.recovery import recover
 from drivers.base import CanFrame
 from tests.unit.recording_samples import new_recorder, record_mission
 

@@ -9,13 +9,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from controller.locate_report import write_report as write_locate_report
-from controller.recorder import Recorder
-from controller.recording_errors import RecordingFileError
-from controller.recording_reader import read_recording
-from controller.report import render_report, write_report
-from controller.report_facts import alignment, insertion_traces, state_spans, surface_distance
-from controller.report_html import ReportError
+from controller.recording.errors import RecordingFileError
+from controller.recording.reader import read_recording
+from controller.recording.recorder import Recorder
+from controller.reports.facts import alignment, insertion_traces, state_spans, surface_distance
+from controller.reports.html import ReportError
+from controller.reports.locate import write_report as write_locate_report
+from controller.reports.mission import render_report, write_report
 from controller.summary import LocateSummary, MissionSummary
 from drivers.base import LinkHealth
 from perception.estimate import Prior

@@ -8,11 +8,11 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from controller import report_figures as figures
-from controller.recording_reader import Recording, read_recording
-from controller.report_facts import Alignment, StateSpan, alignment, insertion_traces, state_spans
-from controller.report_html import address, render, write_page
-from controller.report_page import Pictures, page_of
+from controller.recording.reader import Recording, read_recording
+from controller.reports import figures
+from controller.reports.facts import Alignment, StateSpan, alignment, insertion_traces, state_spans
+from controller.reports.html import address, render, write_page
+from controller.reports.page import Pictures, page_of
 
 REPORT_NAME = "report.html"
 

@@ -7,7 +7,7 @@ import logging
 from dataclasses import dataclass
 from pathlib import Path
 
-from controller.recording_file import is_being_written
+from controller.recording.file import is_being_written
 
 logger = logging.getLogger(__name__)
 

@@ -16,10 +16,10 @@ from pathlib import Path
 import can
 import numpy as np
 
-from controller import recording_schemas as schemas
-from controller.recording_errors import RecordingFileError
-from controller.recording_reader import Recording
-from controller.recording_records import ARM_STATE, decode_can_frame
+from controller.recording import schemas
+from controller.recording.errors import RecordingFileError
+from controller.recording.reader import Recording
+from controller.recording.records import ARM_STATE, decode_can_frame
 from perception.geometry import Array
 
 _CAN_CHANNEL = "can0"

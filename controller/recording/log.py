@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Protocol
 
-from controller.recording_values import Level
+from controller.recording.values import Level
 
 
 class NoteTaker(Protocol):

@@ -15,7 +15,7 @@ from pathlib import Path
 
 from mcap.writer import CompressionType, Writer
 
-from controller.recording_schemas import FORMAT_VERSION, TOPICS, Topic
+from controller.recording.schemas import FORMAT_VERSION, TOPICS, Topic
 
 LIBRARY = "portdock"
 

@@ -21,8 +21,8 @@ class ReportError(PortdockError):
 
 
 def render(template: str, page: object) -> str:
-    """A page of ``controller/templates`` with the values of ``page``; text is escaped, a missing value is an error."""
-    loader = PackageLoader("controller", "templates")
+    """A page of ``reports/templates`` with the values of ``page``; text is escaped, a missing value is an error."""
+    loader = PackageLoader("controller.reports", "templates")
     environment = Environment(loader=loader, autoescape=True, undefined=StrictUndefined)
     return environment.get_template(template).render(page=page)
 

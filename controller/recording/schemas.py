@@ -16,8 +16,8 @@ from __future__ import annotations
 import json
 from dataclasses import dataclass
 
-from controller.recording_protobuf import Layout
-from controller.recording_records import ARM_STATE, CAN_FRAME, SCANNER_BYTES
+from controller.recording.protobuf import Layout
+from controller.recording.records import ARM_STATE, CAN_FRAME, SCANNER_BYTES
 
 FORMAT_VERSION = "1"
 

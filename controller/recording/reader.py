@@ -22,11 +22,10 @@ from mcap.exceptions import McapError
 from mcap.stream_reader import StreamReader, breakup_chunk
 from numpy.typing import NDArray
 
-from controller import recording_messages as messages
-from controller import recording_schemas as schemas
-from controller.recording_errors import RecordingFileError
-from controller.recording_records import arm_state, arm_table, decode_can_frame, decode_scanner_bytes
-from controller.recording_values import (
+from controller.recording import messages, schemas
+from controller.recording.errors import RecordingFileError
+from controller.recording.records import arm_state, arm_table, decode_can_frame, decode_scanner_bytes
+from controller.recording.values import (
     Attachment,
     Contacted,
     Decision,

@@ -16,7 +16,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from controller.report_facts import Alignment, InsertionTrace, StateSpan
+from controller.reports.facts import Alignment, InsertionTrace, StateSpan
 from perception.geometry import Array
 
 INK, MUTED, GRID = "#1d2733", "#6b7785", "#e3e7ec"

@@ -12,9 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
-from controller import recording_schemas as schemas
-from controller.recording_reader import Recording
-from controller.recording_values import Located
+from controller.recording import schemas
+from controller.recording.reader import Recording
+from controller.recording.values import Located
 from perception.estimate import PortEstimate
 from perception.geometry import Array, Pose
 

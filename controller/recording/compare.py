@@ -12,8 +12,8 @@ from typing import TypeVar
 
 import numpy as np
 
-from controller.recording_reader import Recording
-from controller.recording_values import Decision, Located, Transition
+from controller.recording.reader import Recording
+from controller.recording.values import Decision, Located, Transition
 from drivers.base import ArmCommandRecord
 
 T = TypeVar("T")

@@ -8,9 +8,9 @@ from datetime import UTC, datetime
 
 import yaml
 
-from controller.recording_reader import Recording
-from controller.recording_values import Contacted, Decision, LinkReport, Located
-from controller.report_facts import Alignment, StateSpan, place_of, sigma, start_time_s
+from controller.recording.reader import Recording
+from controller.recording.values import Contacted, Decision, LinkReport, Located
+from controller.reports.facts import Alignment, StateSpan, place_of, sigma, start_time_s
 from controller.summary import MissionSummary
 
 GREEN, AMBER, RED, GREY = "#26734d", "#b26a00", "#b3372b", "#56616d"

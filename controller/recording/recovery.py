@@ -10,9 +10,9 @@ from pathlib import Path
 from mcap import records as mcap_records
 from mcap.writer import CompressionType, Writer
 
-from controller.recording_errors import RecordingFileError
-from controller.recording_file import LIBRARY
-from controller.recording_reader import file_records
+from controller.recording.errors import RecordingFileError
+from controller.recording.file import LIBRARY
+from controller.recording.reader import file_records
 
 _CHUNK_BYTES = 128 * 1024
 

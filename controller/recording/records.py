@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from controller.recording_protobuf import Field, Layout, read_varint, varint
+from controller.recording.protobuf import Field, Layout, read_varint, varint
 from drivers.base import ArmState, CanFrame, RobotMode, SafetyMode
 from perception.geometry import Pose
 

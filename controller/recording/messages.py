@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from controller.recording_values import (
+from controller.recording.values import (
     Contacted,
     Decision,
     Drops,

@@ -15,13 +15,12 @@ import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
-from controller import recording_messages as messages
-from controller import recording_schemas as schemas
-from controller.recording_backlog import Backlog, Tally
-from controller.recording_errors import RecordingError, RecordingTargetError
-from controller.recording_file import RecordingFile
-from controller.recording_records import encode_arm_state, encode_can_frame, encode_scanner_bytes
-from controller.recording_values import (
+from controller.recording import messages, schemas
+from controller.recording.backlog import Backlog, Tally
+from controller.recording.errors import RecordingError, RecordingTargetError
+from controller.recording.file import RecordingFile
+from controller.recording.records import encode_arm_state, encode_can_frame, encode_scanner_bytes
+from controller.recording.values import (
     Contacted,
     Decision,
     Drops,

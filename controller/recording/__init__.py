@@ -1,0 +1,1 @@
+"""Missions as MCAP files: written by ``recorder.py``, read back by ``reader.py``."""

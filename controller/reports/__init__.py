@@ -1,0 +1,1 @@
+"""Recordings and located scans as self-contained HTML pages."""
