@@ -79,9 +79,8 @@ def judge(pose: Pose, scene: Scene, model: PortModel, noise_m: float) -> Evidenc
     local, misfit = local[known], misfit[known]
     i, j, _ = front.cells(local)
     cell = np.unique((i // 3) * 100_000 + j // 3, return_inverse=True)[1].reshape(-1)
-    counts = [
-        np.bincount(cell, state) for state in (np.abs(misfit) < tolerance, misfit <= -tolerance, misfit >= tolerance)
-    ]
+    states = (np.abs(misfit) < tolerance, misfit <= -tolerance, misfit >= tolerance)
+    counts = [np.bincount(cell[state], minlength=int(cell.max(initial=0)) + 1) for state in states]
     weight = np.bincount(cell, front.distinct[i, j]) / np.maximum(np.bincount(cell), 1)
     good, behind, before = _votes(counts)
     seen, denied = _features(front, i, j, misfit, tolerance)
@@ -101,13 +100,15 @@ def judge(pose: Pose, scene: Scene, model: PortModel, noise_m: float) -> Evidenc
     )
 
 
-def _votes(counts: list[Array]) -> tuple[NDArray[np.bool_], NDArray[np.bool_], NDArray[np.bool_]]:
+def _votes(counts: list[NDArray[np.int64]]) -> tuple[NDArray[np.bool_], NDArray[np.bool_], NDArray[np.bool_]]:
     agree, behind, before = counts
     good = (agree >= behind + before) & (agree > 0)
     return good, ~good & (behind >= before) & (behind >= 2), ~good & (before > behind) & (before >= 2)
 
 
-def _features(front: FrontMap, i: Array, j: Array, misfit: Array, tolerance: float) -> tuple[int, int]:
+def _features(
+    front: FrontMap, i: NDArray[np.int64], j: NDArray[np.int64], misfit: Array, tolerance: float
+) -> tuple[int, int]:
     """How many contact-sized features have points that agree, and how many have points that contradict."""
     number = front.feature[i, j].astype(np.int64)
     agree = np.bincount(number, np.abs(misfit) < tolerance, minlength=front.features + 1)[1:]
@@ -118,9 +119,14 @@ def _features(front: FrontMap, i: Array, j: Array, misfit: Array, tolerance: flo
 def _rival_roll(
     local: Array, misfit: Array, cell: NDArray[np.int64], front: FrontMap, tolerance: float
 ) -> tuple[float, int, int]:
-    """The other roll that explains the scan best: its angle, and how many cells speak for this roll and for that one."""
-    first = np.unique(cell, return_index=True)[1]  # one point for each cell: votes, not density
-    local, agrees = local[first], np.abs(misfit[first]) < tolerance
+    """The other roll that explains the scan best: its angle, and how many cells speak for this one and for that."""
+    # One point for each cell, of the cell's majority: votes, not density, and no vote from a lone flying point.
+    agrees = np.abs(misfit) < tolerance
+    balance = np.bincount(cell, np.where(agrees, 1.0, -1.0))
+    voter = np.where(agrees, balance[cell] >= 0, balance[cell] < -1.5)
+    kept = np.flatnonzero(voter)
+    first = kept[np.unique(cell[kept], return_index=True)[1]]
+    local, agrees = local[first], agrees[first]
     best = (0.0, 0, 0)
     lowest = np.inf
     for angle_deg in np.arange(_ROLL_FROM_DEG, 360.0 - _ROLL_FROM_DEG + 0.1, _ROLL_STEP_DEG):
@@ -129,7 +135,7 @@ def _rival_roll(
         known = ~np.isnan(other)
         rival = known & (np.abs(other) < tolerance)
         mine, its = int((known & agrees & ~rival).sum()), int((rival & ~agrees).sum())
-        balance = (mine - its) / max(mine + its, 1)
-        if balance < lowest or (balance == lowest and mine + its > best[1] + best[2]):
-            lowest, best = balance, (float(np.arctan2(np.sin(roll), np.cos(roll))), mine, its)
+        margin = (mine - its) / max(mine + its, 1)
+        if margin < lowest or (margin == lowest and mine + its > best[1] + best[2]):
+            lowest, best = margin, (float(np.arctan2(np.sin(roll), np.cos(roll))), mine, its)
     return best

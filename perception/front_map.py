@@ -1,8 +1,8 @@
 """The port as a map of heights seen from the front, for evidence that is local: which place should be how deep.
 
-Large surfaces fit many poses; what tells a port from a cap, another type or itself rolled by a quarter turn are places of
-a few square millimetres: contacts, wells, key and latch side. The map knows for each cell the range of heights that a
-point there may have, how much the cell tells a pose from rolled ones, and which contact-sized feature it belongs to.
+Large surfaces fit many poses; what tells a port from a cap, another type or itself rolled by a quarter turn are places
+of a few square millimetres: contacts, wells, key and latch side. The map knows for each cell the range of heights that
+a point there may have, how much the cell tells a pose from rolled ones, and which contact-sized feature it belongs to.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ class FrontMap:
         return at[:, 0], at[:, 1], inside
 
     def misfit(self, local: Array) -> Array:
-        """How far points (N, 3) are before (+) or behind (-) where the port may be, 0 within; NaN outside its outline."""
+        """How far points (N, 3) are before (+) or behind (-) where the port may be; NaN outside its outline."""
         i, j, inside = self.cells(local)
         z = local[:, 2]
         before, behind = np.maximum(z - self.highest[i, j], 0.0), np.minimum(z - self.lowest[i, j], 0.0)

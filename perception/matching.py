@@ -2,8 +2,8 @@
 
 A point is matched by place and by the direction that the scan's surface faces there, so that a point on the rim near
 its edge stays with the rim. It gives up to two equations: its distance to the matched plane, and, where it lies beyond
-the edge at which the matched surface ends, its distance to that edge. The second kind holds the port sideways and in roll
-when it is seen straight on and shows no walls.
+the edge at which the matched surface ends, its distance to that edge. The second kind holds the port sideways and in
+roll when it is seen straight on and shows no walls.
 """
 
 from __future__ import annotations

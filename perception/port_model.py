@@ -135,7 +135,8 @@ def _load(path: Path) -> _Prepared | None:
             surface = Surface(columns[:, :3], columns[:, 3:6], *columns[:, 6:].T)
             grid = archive["grid"]
             nearest = NearestField(grid[:3], archive["index"], float(grid[3]), len(surface))
-            return surface, nearest, FrontMap(archive["front_low"], *archive["front"], archive["feature"])
+            lowest, highest, distinct = archive["front"]
+            return surface, nearest, FrontMap(archive["front_low"], lowest, highest, distinct, archive["feature"])
     except FileNotFoundError:
         return None
     except Exception as error:  # a broken cache file must never stop a docking: prepare again

@@ -27,8 +27,10 @@ _FIRST_GATE_M = 0.0015
 _GATE_SHRINK = 0.75
 _EDGE_SIGMAS = 2.5
 """A point nearer to an edge than this many standard deviations may belong to either side."""
-_EDGE_NOISE_M = 0.0015
+_EDGE_NOISE_M = 0.0006
 """Standard deviation of where a sampled surface seems to end."""
+_WALL_NOISE_M = 0.0001
+"""A wall is seen at grazing angles, through few points and mixed pixels: each of them is this much worse."""
 _EDGE_GATE_M = 0.0012
 
 
@@ -96,7 +98,8 @@ def _robust_scale(distance: Array, previous: float) -> float:
 def _equations(pose: Pose, matches: Matches, model: PortModel, scale: float, gate: float) -> Refined:
     """One row for each point's distance to its surface, and one for each point beyond an edge."""
     taper = np.clip(model.surface.edge_m[matches.index] / (_EDGE_SIGMAS * scale) - 0.5, 0.0, 1.0)
-    weight = _tukey(matches.distance, max(_TUKEY * scale, gate)) * taper / scale**2
+    wall = 1.0 - np.abs(matches.normal[:, 2])
+    weight = _tukey(matches.distance, max(_TUKEY * scale, gate)) * taper / (scale**2 + (_WALL_NOISE_M * wall) ** 2)
     beyond = np.flatnonzero((matches.overhang > 0) & (np.abs(matches.distance) < max(3 * scale, gate)))
     edge_weight = _tukey(matches.overhang[beyond], _EDGE_GATE_M) / _EDGE_NOISE_M**2
     planes = np.hstack([matches.normal, np.cross(matches.local, matches.normal)])
