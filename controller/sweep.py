@@ -20,6 +20,8 @@ MAX_LOST_SHARE = 0.1
 MAX_SPREAD_S = 0.5
 MAX_SPREAD_SHARE = 0.5
 """Of the sweep's length: a busy computer is late by less, a clock of another unit or rate is off by more."""
+MAX_EARLY_S = 0.02
+"""The promptest 5 % of all samples come within this; else perhaps none was prompt, and the cloud would be displaced."""
 MIN_PROFILES = 10
 
 
@@ -89,11 +91,18 @@ def _arm_times(states: Sequence[ArmState], latency_s: float, rate: float) -> tup
 
 def _on_host(device_s: Array, host_s: Array, rate: float, name: str) -> Array:
     fit = fit_clock(device_s, host_s, rate=rate)
-    logger.info("%s clock: drift %.1f ppm, delivery within %.1f ms", name, fit.drift * 1e6, fit.spread_s * 1e3)
+    delays_ms = fit.early_s * 1e3, fit.spread_s * 1e3
+    logger.info("%s clock: drift %.1f ppm, delivery 5 %% within %.1f, 95 %% %.1f ms", name, fit.drift * 1e6, *delays_ms)
     if fit.spread_s > max(MAX_SPREAD_S, MAX_SPREAD_SHARE * float(np.ptp(host_s))):
         raise SweepError(
             f"the {name}'s clock does not run with this computer's: samples came up to {fit.spread_s:.2f} s late",
             remedy="Check the load of this computer and the unit of the device's time stamp; scan again.",
+        )
+    if fit.early_s > MAX_EARLY_S:
+        raise SweepError(
+            f"it is uncertain when samples of the {name} were taken: even the promptest 5 % came spread over"
+            f" {fit.early_s * 1e3:.0f} ms",
+            remedy="This computer is too busy to sweep: stop other programs, or run mocks at their own pace.",
         )
     return fit.host_s(device_s)
 

@@ -27,6 +27,9 @@ class ClockFit:
     drift: float
     spread_s: float
     """95 % of the samples were delivered at most this much later than the least delay allows."""
+    early_s: float = 0.0
+    """5 % of the samples were delivered at most this much later. Where even these are spread out, it is doubtful that
+    any sample was prompt, and with that the offset."""
     rate: float = 1.0
     """Host seconds per device second apart from drift; not 1 only where a mock's time runs faster."""
 
@@ -49,7 +52,8 @@ def fit_clock(device_s: Array, host_s: Array, *, rate: float = 1.0, max_drift: f
     above = delay - slope * from_middle
     height = float(above.min())
     drift = slope / rate
-    return ClockFit(height - slope * middle, drift, float(np.quantile(above - height, 0.95)), rate)
+    early_s, spread_s = np.quantile(above - height, [0.05, 0.95])
+    return ClockFit(height - slope * middle, drift, float(spread_s), float(early_s), rate)
 
 
 def _highest_line_below(x: Array, y: Array, limit: float) -> float:

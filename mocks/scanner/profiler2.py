@@ -140,12 +140,9 @@ class Profiler2Device:
         if not self._begun:
             self._source.begin_sweep()
             self._begun = True
-        number = int(self._clock.now_s() * self._rate_hz)
-        line = self._source.line(number, number / self._rate_hz)
-        for _ in range(20):
-            if line is not None or number == 0:
-                break
-            number -= 1
-            line = self._source.line(number, number / self._rate_hz)
-        if line is not None:
-            self._image = memory_image(line, number / self._rate_hz, self._reference_m)
+        newest = int(self._clock.now_s() * self._rate_hz)
+        for number in range(newest, max(-1, newest - 20), -1):
+            lines = self._source.lines(number, [number / self._rate_hz])
+            if lines:
+                self._image = memory_image(lines[0], number / self._rate_hz, self._reference_m)
+                return

@@ -6,6 +6,7 @@ arrays in it (poses, times, points) are for other readers.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
@@ -18,8 +19,11 @@ if TYPE_CHECKING:  # SciPy behind it would double the time that a mock takes to 
 class Source(Protocol):
     """Where a profile's points come from."""
 
-    def line(self, number: int, time_s: float) -> Array | None:
-        """Points (M, 2), x and z in metres, NaN where nothing is measured; None while that time is not known yet."""
+    def lines(self, first: int, times_s: Sequence[float]) -> list[Array]:
+        """Profiles ``first``, ``first + 1``, ... exposed at ``times_s``, as many as are known yet, from the first.
+
+        Each is points (M, 2), x and z in metres, NaN where nothing is measured.
+        """
 
     def begin_sweep(self) -> None:
         """The laser was switched on."""
@@ -35,8 +39,11 @@ class GrooveSource:
     def begin_sweep(self) -> None:
         """Nothing changes."""
 
-    def line(self, number: int, time_s: float) -> Array:
+    def lines(self, first: int, times_s: Sequence[float]) -> list[Array]:
         """The same points for the same number."""
+        return [self._line(first + k) for k in range(len(times_s))]
+
+    def _line(self, number: int) -> Array:
         half = self._x[-1]
         centre = 0.625 * half * np.sin(0.05 * number)
         z = self._distance_m + 0.25 * half * np.exp(-(((self._x - centre) / (0.125 * half)) ** 2))
@@ -59,9 +66,8 @@ class RecordedSource:
         """Start over with the next profile."""
         self._first = None
 
-    def line(self, number: int, time_s: float) -> Array:
-        """Profile ``number`` counted from the sweep's first."""
+    def lines(self, first: int, times_s: Sequence[float]) -> list[Array]:
+        """Profiles counted from the sweep's first."""
         if self._first is None:
-            self._first = number
-        chosen: Array = self._lines[(number - self._first) % len(self._lines)]
-        return chosen
+            self._first = first
+        return [self._lines[(first + k - self._first) % len(self._lines)] for k in range(len(times_s))]

@@ -10,6 +10,7 @@ from __future__ import annotations
 import queue
 import threading
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -18,10 +19,14 @@ from mocks.scanner.emulated_clock import EmulatedClock
 from mocks.scanner.paced_wire import PacedWire
 from mocks.scanner.sources import Source
 
+if TYPE_CHECKING:
+    from perception.geometry import Array
+
 MAX_LAG_S = 20.0
 """A computer too slow for the world's pace makes profiles late; this late, in emulated time, they are skipped."""
 MAX_BACKLOG_S = 0.2
 """The device's transmit buffer, as time on the line: on a line too slow for its rate, profiles are lost, and show."""
+MAX_BATCH = 8
 FINISH_WALL_S = 0.3
 """How long after laser-off profiles that were exposed before it may still be computed."""
 POLL_S = 0.001
@@ -121,24 +126,26 @@ class StreamingDevice:
             self._power_off.wait(POLL_S)
 
     def _expose(self, began_s: float) -> None:
+        """Profile after profile until laser or power goes off; those already due are computed together."""
         timing, count = self._timing, 0
         while True:
             time_s = began_s + count / timing.rate_hz
-            count += 1
             if not self._wait_until(time_s + timing.exposure_s / 2) or self._is_over(time_s):
                 return
-            number, self._number = self._number, self._number + 1
             if self._clock.now_s() - time_s > MAX_LAG_S:
                 self.skipped += 1
+                self._number += 1
+                count += 1
                 continue
-            line = self._source.line(number, time_s)
-            while line is None:
-                if self._power_off.wait(POLL_S) or self._is_over(time_s):
-                    return
-                line = self._source.line(number, time_s)
-            frame = wide_xz.encode(line, number, timing.device_time_s(time_s))
-            delay_s = timing.latency_s + timing.jitter_s * self._rng.random()
-            self._hand_over(time_s + timing.exposure_s / 2 + delay_s, frame)
+            due = int((self._clock.now_s() - time_s - timing.exposure_s / 2) * timing.rate_hz) + 1
+            times_s = [began_s + (count + k) / timing.rate_hz for k in range(min(due, MAX_BATCH))]
+            times_s = [moment_s for moment_s in times_s if moment_s <= self._off_s]
+            lines = self._source.lines(self._number, times_s)
+            for line, moment_s in zip(lines, times_s, strict=False):
+                self._hand_over(line, moment_s)
+            count += len(lines)
+            if not lines and self._power_off.wait(POLL_S):
+                return
 
     def _wait_until(self, time_s: float) -> bool:
         """Whether the time came before power or laser went off."""
@@ -152,10 +159,14 @@ class StreamingDevice:
         off_for_s = self._clock.now_s() - self._off_s
         return time_s > self._off_s or off_for_s > FINISH_WALL_S * self._clock.scale
 
-    def _hand_over(self, ready_s: float, frame: bytes) -> None:
+    def _hand_over(self, line: Array, time_s: float) -> None:
+        timing = self._timing
+        frame = wide_xz.encode(line, self._number, timing.device_time_s(time_s))
+        self._number += 1
+        delay_s = timing.exposure_s / 2 + timing.latency_s + timing.jitter_s * self._rng.random()
         while not self._power_off.is_set():
             try:
-                self._frames.put((ready_s, frame), timeout=0.05)
+                self._frames.put((time_s + delay_s, frame), timeout=0.05)
                 return
             except queue.Full:
                 continue

@@ -109,9 +109,9 @@ class Clock:
 class Ramp:
     def begin_sweep(self) -> None: ...
 
-    def line(self, number: int, time_s: float) -> np.ndarray:  # type: ignore[type-arg]
+    def lines(self, first: int, times_s: list[float]) -> list[np.ndarray]:  # type: ignore[type-arg]
         x = np.linspace(-0.015, 0.015, 832)
-        return np.stack([x, 0.1 + x / 2], axis=1)
+        return [np.stack([x, 0.1 + x / 2], axis=1) for _ in times_s]
 
 
 def answers(*questions: bytes) -> list[bytes]:

@@ -76,6 +76,17 @@ def test_a_clock_of_another_rate_is_refused_not_fitted() -> None:
         join(*sweep(scale=5.0), HAND_EYE, 0.0)
 
 
+def test_a_sweep_without_any_prompt_profile_is_refused_for_its_place_is_uncertain() -> None:
+    profiles, states = sweep()
+    late = [Profile(p.sequence, p.time_s + 0.5 + 0.004 * p.sequence, p.device_time_s, p.points) for p in profiles]
+    with pytest.raises(SweepError, match="uncertain when"):
+        join(late, states, HAND_EYE, 0.0)
+    delayed = [
+        Profile(p.sequence, p.time_s + 0.004 * max(0, p.sequence - 50), p.device_time_s, p.points) for p in profiles
+    ]
+    assert worst_error_m(delayed, states) < 2e-5  # what the bound on drift lets through
+
+
 def test_profiles_outside_the_known_arm_times_are_left_out() -> None:
     profiles, states = sweep()
     scan = join(profiles, states[500:3000], HAND_EYE, 0.0)

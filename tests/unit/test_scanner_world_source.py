@@ -30,6 +30,11 @@ def flange(T_port_scanner: Pose) -> Pose:
     return T_BASE_PORT @ T_port_scanner @ T_FLANGE_SCANNER.inverse()
 
 
+def line_at(optics: WorldSource, time_s: float) -> np.ndarray | None:  # type: ignore[type-arg]
+    lines = optics.lines(0, [time_s])
+    return lines[0] if lines else None
+
+
 def source(folder: Path, world: WorldSpec) -> tuple[WorldSource, Blackboard]:
     world.save(folder)
     world.save_shape(folder, load_port("type2").shape)
@@ -39,11 +44,11 @@ def source(folder: Path, world: WorldSpec) -> tuple[WorldSource, Blackboard]:
 
 def test_a_profile_waits_for_the_arms_pose_at_its_own_time(tmp_path: Path) -> None:
     optics, board = source(tmp_path, spec())
-    assert optics.line(0, 1.0) is None
+    assert line_at(optics, 1.0) is None
     board.put_arm(0.9, flange(FACING).matrix)
-    assert optics.line(0, 1.0) is None
+    assert line_at(optics, 1.0) is None
     board.put_arm(1.1, flange(FACING).matrix)
-    assert optics.line(0, 1.0) is not None
+    assert line_at(optics, 1.0) is not None
 
 
 def test_the_inlet_is_seen_where_it_truly_is(tmp_path: Path) -> None:
@@ -53,13 +58,26 @@ def test_the_inlet_is_seen_where_it_truly_is(tmp_path: Path) -> None:
     heights = []
     for number, T_port_scanner in enumerate(views):
         board.put_arm(float(number), flange(T_port_scanner).matrix)
-        line = optics.line(number, float(number))
+        line = line_at(optics, float(number))
         assert line is not None
         points = T_port_scanner.apply(np.stack([line[:, 0], np.zeros(len(line)), line[:, 1]], axis=1))
         assert np.abs(points[:, 1]).max() < 1e-9
         heights.append(float(np.median(points[np.abs(points[:, 0]) < 0.002, 2])))
     assert heights[0] == pytest.approx(heights[1], abs=0.0003)
     assert abs(heights[0]) < 0.06
+
+
+def test_profiles_cast_together_are_those_cast_one_by_one(tmp_path: Path) -> None:
+    optics, board = source(tmp_path, spec(profile_noise_m=0.0))
+    board.put_arm(0.0, flange(FACING).matrix)
+    board.put_arm(1.0, flange(FACING.moved([0.0, 0.05, 0.01]) @ Pose.from_rotvec([0.0, 0.1, 0.2])).matrix)
+    together = optics.lines(0, [0.0, 0.5, 1.0, 1.1])
+    assert len(together) == 3
+    for line, time_s in zip(together, (0.0, 0.5, 1.0), strict=True):
+        alone = line_at(optics, time_s)
+        assert alone is not None
+        first, second = (np.interp(np.linspace(-0.05, 0.05, 200), *part.T) for part in (line, alone))
+        assert np.median(np.abs(first - second)) < 2e-5
 
 
 def test_a_plain_panel_has_no_depth(tmp_path: Path) -> None:
@@ -70,7 +88,7 @@ def test_a_plain_panel_has_no_depth(tmp_path: Path) -> None:
         optics, board = source(folder, spec(panel=panel, profile_noise_m=0.0))
         board.put_arm(0.0, flange(FACING).matrix)
         board.put_arm(1.0, flange(FACING).matrix)
-        line = optics.line(0, 0.5)
+        line = line_at(optics, 0.5)
         assert line is not None
         middle = line[np.abs(line[:, 0]) < 0.03]
         bend = np.polyval(np.polyfit(middle[:, 0], middle[:, 1], 2), middle[:, 0])
@@ -86,7 +104,7 @@ def test_glare_blinds_the_first_sweeps_only_and_sweeps_are_counted(tmp_path: Pat
     for sweep in (1, 2):
         optics.begin_sweep()
         assert board.sweep() == sweep
-        line = optics.line(0, 0.5)
+        line = line_at(optics, 0.5)
         assert line is not None
         seen.append(int((np.abs(line[:, 0]) < 0.04).sum()))
     assert seen[0] < 0.1 * seen[1]
