@@ -84,7 +84,7 @@ def test_a_sweep_without_any_prompt_profile_is_refused_for_its_place_is_uncertai
     delayed = [
         Profile(p.sequence, p.time_s + 0.004 * max(0, p.sequence - 50), p.device_time_s, p.points) for p in profiles
     ]
-    assert worst_error_m(delayed, states) < 2e-5  # what the bound on drift lets through
+    assert worst_error_m(delayed, states) < 5e-5  # what the bound on drift lets through
 
 
 def test_profiles_outside_the_known_arm_times_are_left_out() -> None:
