@@ -22,7 +22,7 @@ from drivers.charger.bus_open import READ_TIMEOUT_S, Filter, close_bus, open_bus
 from drivers.charger.settings import CanSettings
 
 _log = logging.getLogger(__name__)
-_WRITE_TIMEOUT_S = 0.1
+_WRITE_TIMEOUT_S = 0.25
 _LONGEST_PATIENCE_S = 60.0
 _FULL_S = 0.25
 """A queue that stays full for this long is a bus on which nobody acknowledges."""

@@ -8,8 +8,9 @@ import numpy as np
 
 from mocks.charger.controls import Lines
 from mocks.charger.frames import BusFrame, Frames
-from mocks.charger.node import ChargerNode, NodeSettings
+from mocks.charger.node import ChargerNode
 from mocks.charger.ports import BusPort, SlcanPort
+from mocks.charger.process import NodeSettings
 from mocks.charger.supervision import RobotWatch
 from mocks.charger.world import Surroundings
 
@@ -120,11 +121,11 @@ class MockCharger:
             case "reject":
                 node.reject_next = value
             case "paused":
-                node.paused = bool(value)
+                node.process.paused = bool(value)
             case "temperature_c":
                 node.power.temperature_c = float(value)
             case "ventilation":
-                node.ventilation = bool(value)
+                node.process.ventilation = bool(value)
             case "reboot":
                 self._reboot()
             case "garbage":

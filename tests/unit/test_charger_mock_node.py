@@ -133,7 +133,7 @@ def test_a_repeated_number_is_acted_on_once(session: Session) -> None:
     session.node.command("Abort", 50, 0)
     session.run(3.0)
     assert session.node.state == "Finished"
-    session.node.fault = "None"
+    session.node.process.fault = "None"
     session.node.command("Release", 50, 0)
     assert session.node.answer.result == "Done"
     assert session.node.state == "Finished", "the same number is no new request"
@@ -229,11 +229,11 @@ def test_a_full_battery_ends_the_charging(session: Session) -> None:
 
 def test_a_pause_holds_the_current_at_zero_with_the_contactor_closed(session: Session) -> None:
     session.charge()
-    session.node.paused = True
+    session.node.process.paused = True
     session.run(3.0)
     assert (session.node.state, session.node.power.current_a) == ("Paused", 0.0)
     assert session.node.power.contactor_closed
-    session.node.paused = False
+    session.node.process.paused = False
     session.run(5.0)
     assert session.node.state == "Charging"
     assert session.node.power.current_a == 125.0
