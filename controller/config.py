@@ -107,8 +107,8 @@ class ArmConfig(Section):
     payload_kg: Annotated[float, Field(ge=0, le=30)] = 3.0
     centre_of_gravity_mm: Vector3 = (0.0, 0.0, 80.0)
     frequency_hz: Literal[125, 500] = 500
-    watchdog_hz: Annotated[float, Field(ge=1, le=50)] = 10.0
-    freshness_ms: Annotated[float, Field(ge=20, le=1000)] = 200.0
+    watchdog_hz: Annotated[float, Field(ge=0.2, le=50)] = 10.0
+    freshness_ms: Annotated[float, Field(ge=20, le=5000)] = 200.0
     workspace_min_mm: Vector3 = (-1300.0, -1300.0, -300.0)
     workspace_max_mm: Vector3 = (1300.0, 1300.0, 1300.0)
 
@@ -122,8 +122,8 @@ class ChargerConfig(Section):
     dbc: str | None = None
     protection: Literal["none", "counter", "j1850", "e2e-p11", "e2e-p5"] = "e2e-p11"
     accept_unprotected_can: bool = False
-    degraded_ms: Annotated[float, Field(ge=100, le=1000)] = 150.0
-    lost_ms: Annotated[float, Field(ge=150, le=2000)] = 250.0
+    degraded_ms: Annotated[float, Field(ge=100, le=5000)] = 150.0
+    lost_ms: Annotated[float, Field(ge=150, le=5000)] = 250.0
 
 
 class MotionConfig(Section):
@@ -189,6 +189,13 @@ class DeadlinesConfig(Section):
     hold_s: Annotated[float, Field(gt=0, le=36_000)] = 300.0
 
 
+class HostConfig(Section):
+    """What is asked of the computer that portdock runs on."""
+
+    stall_ms: Annotated[float, Field(ge=50, le=10_000)] = 500.0
+    """A supervisor's tick that comes later than this stops whatever moves."""
+
+
 class RecordingConfig(Section):
     """Where missions are recorded."""
 
@@ -209,6 +216,7 @@ class SiteConfig(Section):
     insertion: InsertionConfig = InsertionConfig()
     mission: MissionConfig = MissionConfig()
     deadlines: DeadlinesConfig = DeadlinesConfig()
+    host: HostConfig = HostConfig()
     recording: RecordingConfig = RecordingConfig()
 
 

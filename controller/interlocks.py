@@ -8,9 +8,6 @@ from controller.faults import Fault, FaultCode
 from controller.states import State
 from drivers.base import ArmState, ChargerState, ChargerStatus, RobotMode, SafetyMode
 
-STALL_S = 0.5
-"""A tick later than this means that the host was suspended or starved."""
-
 PAUSABLE_STATES = frozenset({State.STAGING, State.SCANNING, State.LOCATING, State.APPROACHING, State.HOLD})
 """Before contact a person in the zone or a speed slider at 0 only pauses the mission."""
 
@@ -33,6 +30,9 @@ class Snapshot:
     overdue: str
     """What the state's deadline says; empty while there is time."""
     late_s: float
+    """How late this tick came."""
+    stall_s: float = 0.5
+    """A tick later than this means that the host was suspended or starved."""
 
 
 def assess(seen: Snapshot) -> Fault | None:
@@ -49,7 +49,7 @@ def assess(seen: Snapshot) -> Fault | None:
         return Fault(FaultCode.CHARGER_LINK_LOST, seen.charger_problem)
     if not seen.scanner_up and seen.state in (State.STAGING, State.SCANNING):
         return Fault(FaultCode.SCANNER_LINK_LOST, seen.scanner_problem)
-    if seen.late_s > STALL_S and seen.state in MOVING_STATES:
+    if seen.late_s > seen.stall_s and seen.state in MOVING_STATES:
         return Fault(FaultCode.SUPERVISOR_STALLED, f"a tick came {seen.late_s * 1000:.0f} ms late")
     if seen.overdue:
         return Fault(FaultCode.DEADLINE, seen.overdue)

@@ -76,7 +76,8 @@ class Looking:
 
         def collect() -> bool:
             profiles.extend(cell.scanner.take())
-            report("sweep", _fraction(cell.arm.state().T_base_tcp, view), f"{len(profiles)} profiles")
+            if (state := cell.arm_state()) is not None:
+                report("sweep", _fraction(state.T_base_tcp, view), f"{len(profiles)} profiles")
             return bool(profiles)
 
         try:

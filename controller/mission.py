@@ -25,7 +25,17 @@ from controller.looking import Looking
 from controller.planning import DockPlan, PlanRefusedError, plan_dock
 from controller.states import Event, State, next_state
 from controller.supervisor import PauseRequested, StopRequested
-from drivers.base import ArmState, ChargerRequest, ChargerState, DockPose, PlugLock, Proximity, RequestResult, RobotMode
+from drivers.base import (
+    ArmState,
+    ChargerRequest,
+    ChargerState,
+    DockPose,
+    LinkLostError,
+    PlugLock,
+    Proximity,
+    RequestResult,
+    RobotMode,
+)
 from perception.errors import PortdockError
 from perception.estimate import PortEstimate
 from perception.geometry import Pose
@@ -115,6 +125,8 @@ class Mission:
             return self._freeze(Event.PAUSED)
         except MissionFault as error:
             return self._fail(error.fault)
+        except LinkLostError as error:
+            return self._fail(self.cell.explained(FaultCode.ARM_LINK_LOST, error.cause).fault)
         except PortdockError as error:
             return self._fail(Fault(FaultCode.INTERNAL, f"{error.code}: {error.cause}"))
         except Exception as error:  # a defect must still end in FAULT with the arm stopped, not in a traceback

@@ -119,7 +119,9 @@ def run_session(
             raise
         _attach_context(recorder, config, model, dict(notes))
         closing.enter_context(log_into(recorder))
-        supervisor = Supervisor(Sources(devices.arm, devices.charger, devices.scanner), clock, wall)
+        supervisor = Supervisor(
+            Sources(devices.arm, devices.charger, devices.scanner), clock, wall, config.host.stall_ms / 1000.0
+        )
         supervisor.facts.mode = heartbeat_mode
         supervisor.start()
         closing.callback(supervisor.close)

@@ -67,7 +67,9 @@ class _Request:
 class Supervisor:
     """Runs the tick in its own thread from ``start`` to ``close``."""
 
-    def __init__(self, sources: Sources, mission_clock: Clock, wall_clock: Clock) -> None:
+    def __init__(self, sources: Sources, mission_clock: Clock, wall_clock: Clock, stall_s: float = 0.5) -> None:
+        """``stall_s``: a tick later than this trips what moves."""
+        self._stall_s = stall_s
         self._sources = sources
         self._clock = mission_clock
         self._wall = wall_clock
@@ -211,7 +213,16 @@ class Supervisor:
         if deadline_s is not None and self._clock.now_s() > deadline_s:
             overdue = f"{facts.state.name} took longer than allowed"
         return Snapshot(
-            facts.state, arm, arm_problem, charger, charger_problem, scanner.up, scanner.detail, overdue, late_s
+            facts.state,
+            arm,
+            arm_problem,
+            charger,
+            charger_problem,
+            scanner.up,
+            scanner.detail,
+            overdue,
+            late_s,
+            self._stall_s,
         )
 
     def _latch(self, fault: Fault) -> None:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from controller.faults import FaultCode
-from controller.interlocks import MOVING_STATES, PAUSABLE_STATES, STALL_S, Snapshot, assess, pause_reason
+from controller.interlocks import MOVING_STATES, PAUSABLE_STATES, Snapshot, assess, pause_reason
 from controller.states import State
 from drivers.base import ArmState, ChargerState, ChargerStatus, Pilot, PlugLock, Proximity, RobotMode, SafetyMode
 from perception.geometry import Pose
@@ -126,10 +126,10 @@ def test_the_chargers_inhibit_trips_only_what_moves(state: State) -> None:
 
 
 def test_a_tick_that_comes_too_late_trips_what_moves() -> None:
-    late = replace(GOOD, late_s=STALL_S * 1.01)
+    late = replace(GOOD, late_s=0.31, stall_s=0.3)
     assert code(late) is FaultCode.SUPERVISOR_STALLED
     assert assess(replace(late, state=State.CHARGING)) is None
-    assert assess(replace(GOOD, late_s=STALL_S)) is None
+    assert assess(replace(GOOD, late_s=0.3, stall_s=0.3)) is None
 
 
 @pytest.mark.parametrize("state", POWERED)
