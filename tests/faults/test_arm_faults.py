@@ -40,6 +40,7 @@ def rig(shared):
     """The one rig, in order, with the arm back where it began."""
     yield shared
     mock = shared.mock
+    mock.do("freeze", seconds=0.0)
     mock.do("slider", fraction=1.0)
     mock.do("up", link="all")
     mock.do("release_estop")
