@@ -115,6 +115,7 @@ class ControlLoop:
         off = max(abs(a - b) for a, b in zip(joints, command.near, strict=True))
         if off > BRANCH_RAD:
             raise RefusedError("no-solution", f"the controller's joints differ from the planned ones by {off:.2f} rad")
+        self._pass_kick_on(0.0)  # the answer may have taken a good part of the watchdog's period
         before = self._operation_id()
         self._must(self._control.moveJ(list(joints), command.speed, command.acceleration, True))
         self._motion = Motion(command.motion_id, "running", before)
@@ -165,6 +166,11 @@ class ControlLoop:
             self._stream(active[self._turn % len(active)])
         else:
             self._control.kickWatchdog()
+
+    def _pass_kick_on(self, timeout_s: float) -> None:
+        self._link.fill(timeout_s)
+        if self._link.take_kick():
+            self._kick()
 
     def _arm(self) -> None:
         """Set the controller's watchdog, once, before anything moves."""
@@ -224,9 +230,7 @@ class ControlLoop:
         """Wait for an earlier stop to finish, passing kicks on meanwhile."""
         deadline = time.monotonic() + SETTLE_S
         while self._speed_end_s is not None or self._motion.phase == "stopping":
-            self._link.fill(POLL_S)
-            if self._link.take_kick():
-                self._kick()
+            self._pass_kick_on(POLL_S)
             self._advance()
             if self._link.stop_waits() or time.monotonic() > deadline:
                 raise RefusedError("busy", "the earlier stop has not finished")
