@@ -13,7 +13,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from perception.estimate import PortEstimate, Prior
 from perception.geometry import Array, Pose
+from perception.port_model import PortModel
 from perception.published import clouds, dense
 from perception.published.denoise import NoiseStatistics, keep_mask, noise_statistics
 from perception.published.features import eigen_features
@@ -25,6 +27,7 @@ from perception.published.profiles import MethodSettings, ProfileName, profile
 from perception.published.registration import IcpResult, IcpSettings, keypoint_icp, trimmed_distance
 from perception.published.starts import start_poses
 from perception.published.target import PreparedTarget, prepare_target
+from perception.scan import Cloud
 
 _log = logging.getLogger(__name__)
 
@@ -115,6 +118,19 @@ def register(
         except FeedbackCollapsedError as error:
             _log.warning("%s", error)
             return _answer(state, str(error), collapsed=True)
+
+
+def locate_published(
+    cloud: Cloud, model: PortModel, prior: Prior | None = None, profile_name: ProfileName = "robust"
+) -> PortEstimate:
+    """The port's pose by the published method; a refusal is an estimate with ``accepted`` False and its reasons.
+
+    :param cloud: the scan, metres.
+    :param prior: where the port is expected; None takes the middle of the scan, facing the scanner.
+    """
+    from perception.published.locating import locate  # it builds on this module
+
+    return locate(cloud, model, prior, profile(profile_name))
 
 
 def _prepare(
