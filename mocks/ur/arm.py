@@ -22,6 +22,7 @@ PAUSE_RAMP_S = 0.1
 HISTORY_STEPS = 100
 CONTACT_THRESHOLD_N = 8.0
 TOOL_CONTACT_MEMORY = 50
+ZERO_OVER_STEPS = 25
 
 
 class Environment(Protocol):
@@ -66,16 +67,20 @@ class Sensor:
         self._noise = np.repeat([noise_n, noise_nm], 3)
         self._offset = rng.uniform(-1.0, 1.0, 6) * np.repeat([bias_n, bias_nm], 3)
         self.filtered = np.zeros(6)
+        self._recent: deque[Array] = deque(maxlen=ZERO_OVER_STEPS)
 
     def measure(self, wrench: Array) -> Array:
         """What the controller reports for a true wrench (6,)."""
         reading = wrench + self._offset + self._noise * self._rng.standard_normal(6)
         self.filtered += 0.5 * (reading - self.filtered)
+        self._recent.append(reading)
         return np.asarray(reading)
 
     def zero(self) -> None:
-        """Take the present reading as zero."""
-        self._offset = self._offset - self.filtered
+        """Take the mean of the last readings as zero."""
+        if self._recent:
+            self._offset = self._offset - np.mean(self._recent, axis=0)
+        self._recent.clear()
         self.filtered = np.zeros(6)
 
 

@@ -43,6 +43,8 @@ MODELS = {
 }
 
 JOINT_LIMIT_RAD = 2.0 * math.pi
+ROUNDING = 1e-7
+"""A cosine may exceed 1 by this much: near a stretched elbow or wrist, rounding alone reaches its square root."""
 
 
 class Kinematics:
@@ -110,13 +112,13 @@ class Kinematics:
             q1 = math.atan2(y, x) + math.pi / 2 + shoulder * math.acos(m.d4 / radius)
             c1, s1 = math.cos(q1), math.sin(q1)
             cosine = (T[0, 3] * s1 - T[1, 3] * c1 - m.d4) / m.d6
-            if abs(cosine) > 1.0 + 1e-9:
+            if abs(cosine) > 1.0 + ROUNDING:
                 continue
             angle = math.acos(max(-1.0, min(1.0, cosine)))
             for q5 in (angle, -angle):
                 s5 = math.sin(q5)
                 q6 = q6_if_free
-                if abs(s5) > 1e-9:
+                if abs(s5) > 1e-6:
                     q6 = math.atan2((-T[0, 1] * s1 + T[1, 1] * c1) / s5, (T[0, 0] * s1 - T[1, 0] * c1) / s5)
                 wrists.append((q1, q5, q6))
         return wrists
@@ -128,7 +130,7 @@ class Kinematics:
         T14 = np.linalg.solve(single[0], T) @ np.linalg.inv(single[4] @ single[5])
         x, y = float(T14[0, 3]), float(T14[1, 3])
         c3 = (x * x + y * y - m.a2**2 - m.a3**2) / (2.0 * m.a2 * m.a3)
-        if abs(c3) > 1.0 + 1e-9:
+        if abs(c3) > 1.0 + ROUNDING:
             return []
         elbows = []
         angle = math.acos(max(-1.0, min(1.0, c3)))

@@ -65,7 +65,7 @@ def _misalignment(rng: np.random.Generator) -> Pose:
     while True:
         lateral_mm, tilt_deg, roll_deg = rng.uniform(-2.4, 2.4, 2), rng.uniform(-2.1, 2.1, 2), rng.uniform(-3.3, 3.3)
         gaps = (np.linalg.norm(lateral_mm) - 2.5, np.linalg.norm(tilt_deg) - 2.5, abs(roll_deg) - 3.0)
-        if min(abs(gap) for gap in gaps) > 0.1:
+        if min(abs(gap) for gap in gaps) > 0.15:
             return Pose.from_rotvec(np.deg2rad([*tilt_deg, roll_deg]), [*(lateral_mm / 1000.0), 0.0])
 
 
