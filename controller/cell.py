@@ -183,6 +183,13 @@ class Cell:
         if not self.supervisor.wait(still, timeout_s):
             raise MissionFault(FaultCode.MOTION_FAILED, "the arm does not come to rest")
 
+    def recover_arm(self) -> None:
+        """A new control link after a pause, with no memory of old motions. Raises MissionFault."""
+        try:
+            self.arm.recover()
+        except PortdockError as error:
+            raise self.explained(FaultCode.ARM_NOT_READY, error.cause) from error
+
     def enter(self, state: State, stay_s: float | None) -> None:
         """Tell supervisor and gate that the mission is in ``state`` now."""
         self.supervisor.enter(state, stay_s)

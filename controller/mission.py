@@ -337,6 +337,7 @@ class Mission:
         gone = self.cell.supervisor.wait(lambda: self.cell.supervisor.pause is None, self.config.deadlines.hold_s)
         if not gone:
             raise MissionFault(FaultCode.DEADLINE, "the pause lasted too long")
+        self.cell.recover_arm()
         return Event.RESUMED
 
     def _make_safe(self) -> None:

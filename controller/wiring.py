@@ -62,6 +62,7 @@ def _arm_settings(config: SiteConfig) -> UrSettings:
         frequency_hz=float(arm.frequency_hz),
         watchdog_hz=arm.watchdog_hz,
         freshness_s=arm.freshness_ms / 1000.0,
+        patience=max(1.0, config.host.stall_ms / 500.0),
         workspace=Workspace(np.array(_metres(arm.workspace_min_mm)), np.array(_metres(arm.workspace_max_mm))),
     )
 

@@ -100,7 +100,7 @@ class Links:
     def _open_worker(self) -> None:
         s = self._settings
         self._close_worker()
-        self._worker = WorkerClient(lambda reason: self._begin_to_end_program())
+        self._worker = WorkerClient(lambda reason: self._begin_to_end_program(), self._settings.patience)
         tcp = tuple(s.T_flange_tcp.vector.tolist())
         start = m.Start(
             s.host, s.frequency_hz, s.upper_registers, s.watchdog_hz, tcp, s.payload_kg, s.centre_of_gravity_m

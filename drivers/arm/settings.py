@@ -66,6 +66,8 @@ class UrSettings:
     """Use RTDE registers 24 and up, where a fieldbus owns the lower ones."""
     stop_running_program: bool = False
     """Whether another program found running may be stopped."""
+    patience: float = 1.0
+    """Stretches the time limits of the worker process: above 1 only where the host is busy and nothing real moves."""
     joint_limits: JointLimits = field(default_factory=JointLimits.symmetric)
     workspace: Workspace | None = None
     caps: MotionCaps = field(default_factory=MotionCaps)

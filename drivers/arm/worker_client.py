@@ -42,10 +42,10 @@ ROOT = Path(__file__).resolve().parents[2]
 class WorkerClient:
     """One worker process and the line to it. Thread-safe."""
 
-    def __init__(self, on_lost: Callable[[str], None], silence_s: float = SILENCE_S) -> None:
-        """``on_lost`` is called once, from the monitor thread, with the reason."""
+    def __init__(self, on_lost: Callable[[str], None], patience: float = 1.0) -> None:
+        """``on_lost`` is called once, from the monitor thread, with the reason. ``patience`` stretches all limits."""
         self._on_lost = on_lost
-        self._silence_s = silence_s
+        self._patience = patience
         self._send_lock = threading.Lock()
         self._changed = threading.Condition()
         self._replies: dict[int, m.Reply] = {}
@@ -161,19 +161,19 @@ class WorkerClient:
                     self._give_up("it did not start in time")
             elif busy_reason is not None:
                 self._give_up(busy_reason)
-            elif now_s - heard_s > self._silence_s and self._hangs(now_s - heard_s):
+            elif now_s - heard_s > SILENCE_S * self._patience and self._hangs(now_s - heard_s):
                 self._give_up(f"its process hangs: no sign of life for {1000 * (now_s - heard_s):.0f} ms")
 
     def _hangs(self, silent_s: float) -> bool:
         """Whether silence means a hang. A beat that was sent before the process went to sleep is here by now."""
-        starved = silent_s < STARVED_S and _starved(self.pid)
+        starved = silent_s < STARVED_S * self._patience and _starved(self.pid)
         return not starved and not self._connection.poll(0.0)
 
     def _take(self, message: Any) -> str | None:
         """Sort one message in. Returns why the worker must be taken for hung, or None."""
         with self._changed:
             match message:
-                case m.Beat() if self._started and message.busy_for_s > (
+                case m.Beat() if self._started and message.busy_for_s > self._patience * (
                     KICK_S if message.busy_with == "kick" else CALL_S
                 ):
                     return f"{message.busy_with} has not returned for {message.busy_for_s:.1f} s"

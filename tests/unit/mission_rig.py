@@ -64,6 +64,7 @@ class StandInArm:
         self.moves: list[str] = []
         self.kicks = 0
         self.motion_fails = False
+        self.recoveries = 0
         self._velocity = np.zeros(3)
         self._push_n = 0.0
         self._last_s = CLOCK.now_s()
@@ -134,7 +135,8 @@ class StandInArm:
     def kick_watchdog(self) -> None:
         self.kicks += 1
 
-    def recover(self) -> None: ...
+    def recover(self) -> None:
+        self.recoveries += 1
 
     def _note(self, name: str) -> None:
         if self.lost:

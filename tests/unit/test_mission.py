@@ -230,3 +230,4 @@ def test_a_person_in_the_zone_before_contact_only_pauses(tmp_path: Path, state: 
     assert rig.run().kind == "charged"
     where = rig.watch.states.index("HOLD")
     assert rig.watch.states[where - 1] == state and rig.watch.states[where + 1] == "STAGING"
+    assert rig.arm.recoveries == 1
