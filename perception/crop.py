@@ -40,6 +40,8 @@ class Scene:
     """(M, 3) unit normals towards the sensor; zero where undefined."""
     sweep_direction: Array
     """(3,) unit vector of the sweep, along which speed errors stretch the scan."""
+    sweep_middle: Array
+    """(3,) where the laser stood at mid-sweep."""
 
 
 def crop(cloud: Cloud, model: PortModel, prior: Prior, threads: int = 2) -> Scene:
@@ -56,7 +58,8 @@ def crop(cloud: Cloud, model: PortModel, prior: Prior, threads: int = 2) -> Scen
     if len(points) < 100:
         raise EmptyScanError("the scan has only stray points where the prior expects the port")
     thin, normals = _thinned(points, origins, threads)
-    return Scene(points, origins, thin, normals, _sweep_direction(cloud, T_prior_ref, origins))
+    direction, middle = _sweep(cloud, T_prior_ref)
+    return Scene(points, origins, thin, normals, direction, middle)
 
 
 def _inside(points: Array, model: PortModel, prior: Prior) -> NDArray[np.bool_]:
@@ -106,9 +109,11 @@ def _thinned(points: Array, origins: Array, threads: int) -> tuple[Array, Array]
     return np.ascontiguousarray(thin), normals
 
 
-def _sweep_direction(cloud: Cloud, T_prior_ref: Pose, origins: Array) -> Array:
+def _sweep(cloud: Cloud, T_prior_ref: Pose) -> tuple[Array, Array]:
+    """Direction of the sweep and where the laser stood in its middle, both in the prior frame."""
     if cloud.origins is None:
-        return T_prior_ref.rotate(np.array([0.0, 1.0, 0.0]))
-    spread = origins - origins.mean(axis=0)
-    direction: Array = np.linalg.svd(spread[:: max(1, len(spread) // 2000)], full_matrices=False)[2][0]
-    return direction
+        return T_prior_ref.rotate(np.array([0.0, 1.0, 0.0])), T_prior_ref.apply(np.zeros(3))
+    origins = cloud.origins[:: max(1, len(cloud) // 2000)]
+    middle = origins.mean(axis=0)
+    direction: Array = np.linalg.svd(origins - middle, full_matrices=False)[2][0]
+    return T_prior_ref.rotate(direction), T_prior_ref.apply(middle)

@@ -1,43 +1,69 @@
 """What the part and the sweep may do that the model does not say: nuisance parameters of the refinement, with priors.
 
-A built inlet has draft on its walls and its floors are not quite where the drawing has them; an arm vibrates while it
-sweeps. Each is a few parameters that the fit may move within what is usual. The pose then rests on what does not depend
-on them, and its covariance holds their part of the error.
+A built inlet has draft on its walls and its floors are not quite where the drawing has them; an arm vibrates and is not
+exactly as fast as it says while it sweeps; edges are rounded and a laser spot has a size. Each is a few parameters that
+the fit may move within what is usual. The pose then rests on what does not depend on them, and its covariance holds
+their part of the error.
 """
 
 from __future__ import annotations
 
-import numpy as np
+from dataclasses import dataclass
 
-from perception.geometry import Array, Pose
-from perception.matching import Matches
-from perception.port_model import PortModel
+import numpy as np
+from numpy.typing import NDArray
+
+from perception.geometry import Array
 
 DRAFT_RAD = 0.008
+SHRINK = 0.0004
 LEVEL_M = 0.00015
+SPEED = 0.002
 VIBRATION_M = 0.00008
+EDGE_M = 0.0002
 KNOT_M = 0.006
-SCALE = 0.0004
 
 
-def columns(pose: Pose, matches: Matches, sweep: Array, direction: Array, model: PortModel) -> tuple[Array, Array]:
+@dataclass(frozen=True, slots=True, eq=False)
+class Rows:
+    """What the columns are made from: the equations for the pose, row by row; port frame."""
+
+    local: Array
+    """(N, 3) points."""
+    along: Array
+    """(N, 3) direction in which the row measures: surface normal, or outward from an edge."""
+    level: NDArray[np.int64]
+    """(N,) number of the flat, 0 for none."""
+    edge: NDArray[np.bool_]
+    """(N,) whether the row is the distance to an edge."""
+    sweep: Array
+    """(N,) where in the sweep the point was taken, metres from the sweep's middle."""
+    sweep_direction: Array
+    """(3,) unit vector of the sweep."""
+    view: Array
+    """(3,) unit vector towards the sensor."""
+
+
+def columns(rows: Rows, levels: int) -> tuple[Array, Array]:
     """How much each nuisance parameter moves each distance (N, K), and the parameters' standard deviations (K,).
 
-    :param sweep: (N,) where in the sweep each point was taken, metres.
-    :param direction: (3,) unit vector from port to sensor in the prior frame, along which the arm vibrates.
+    :param levels: the model's number of flats off the rim plane.
     """
-    n, local = matches.normal, matches.local
-    wall = 1.0 - np.abs(n[:, 2])
-    draft = wall * np.maximum(-local[:, 2], 0.0)
-    scale = np.einsum("ij,ij->i", local, n)
-    level = model.surface.level[matches.index].astype(np.int64)
-    levels = np.zeros((len(local), int(model.surface.level.max()) + 1))
-    levels[np.arange(len(local)), level] = 1.0
-    shake = _hats(sweep) * (n @ pose.inverse().rotate(direction))[:, None]
+    plane = ~rows.edge
+    n = rows.along
+    draft = plane * (1.0 - np.abs(n[:, 2])) * np.maximum(-rows.local[:, 2], 0.0)
+    shrink = np.einsum("ij,ij->i", rows.local, n)
+    speed = (n @ rows.sweep_direction) * rows.sweep
+    flat = np.zeros((len(n), levels + 1))
+    flat[np.arange(len(n)), np.where(plane, rows.level, 0)] = 1.0
+    hats = _hats(rows.sweep)
+    side = np.cross(rows.view, rows.sweep_direction)
+    shake = [hats * (n @ direction)[:, None] for direction in (rows.view, rows.sweep_direction, side)]
+    single = np.column_stack([draft, shrink, speed, rows.edge.astype(np.float64)])
     sigma = np.concatenate(
-        [[DRAFT_RAD, SCALE], np.full(levels.shape[1] - 1, LEVEL_M), np.full(shake.shape[1], VIBRATION_M)]
+        [[DRAFT_RAD, SHRINK, SPEED, EDGE_M], np.full(levels, LEVEL_M), np.full(3 * hats.shape[1], VIBRATION_M)]
     )
-    return np.hstack([draft[:, None], scale[:, None], levels[:, 1:], shake]), sigma
+    return np.hstack([single, flat[:, 1:], *shake]), sigma
 
 
 def _hats(sweep: Array) -> Array:

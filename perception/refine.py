@@ -9,12 +9,13 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from perception.crop import Scene
 from perception.errors import DegenerateCloudError
 from perception.geometry import Array, Pose
 from perception.matching import Matches, Measured, match, measure
-from perception.nuisance import columns
+from perception.nuisance import Rows, columns
 from perception.port_model import PortModel
 
 ROUNDS = 14
@@ -28,10 +29,11 @@ _GATE_SHRINK = 0.75
 _EDGE_SIGMAS = 2.5
 """A point nearer to an edge than this many standard deviations may belong to either side."""
 _EDGE_NOISE_M = 0.0006
-"""Standard deviation of where a sampled surface seems to end."""
+_EDGE_NOISE_SIGMAS = 2.5
+"""Standard deviation of where a sampled surface seems to end: this much, and so many times the scan's noise."""
 _WALL_NOISE_M = 0.0001
 """A wall is seen at grazing angles, through few points and mixed pixels: each of them is this much worse."""
-_EDGE_GATE_M = 0.0012
+_EDGE_GATE_M = 0.0010
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -51,6 +53,8 @@ class Refined:
     """(N, 3) the used points in the port frame."""
     planes: int
     """How many of the equations, the first ones, are distances to surfaces."""
+    beyond: NDArray[np.int64]
+    """(N - planes,) which of the matched points the equations for edges belong to."""
     scale_m: float
     """Robust standard deviation of the distances to surfaces."""
 
@@ -101,7 +105,8 @@ def _equations(pose: Pose, matches: Matches, model: PortModel, scale: float, gat
     wall = 1.0 - np.abs(matches.normal[:, 2])
     weight = _tukey(matches.distance, max(_TUKEY * scale, gate)) * taper / (scale**2 + (_WALL_NOISE_M * wall) ** 2)
     beyond = np.flatnonzero((matches.overhang > 0) & (np.abs(matches.distance) < max(3 * scale, gate)))
-    edge_weight = _tukey(matches.overhang[beyond], _EDGE_GATE_M) / _EDGE_NOISE_M**2
+    edge_noise = _EDGE_NOISE_M + _EDGE_NOISE_SIGMAS * scale
+    edge_weight = _tukey(matches.overhang[beyond], _EDGE_GATE_M) / edge_noise**2
     planes = np.hstack([matches.normal, np.cross(matches.local, matches.normal)])
     outward = matches.outward[beyond]
     edges = np.hstack([outward, np.cross(matches.local[beyond], outward)])
@@ -113,6 +118,7 @@ def _equations(pose: Pose, matches: Matches, model: PortModel, scale: float, gat
         np.zeros(6),
         np.vstack([matches.local, matches.local[beyond]]),
         len(planes),
+        beyond,
         scale,
     )
 
@@ -120,13 +126,24 @@ def _equations(pose: Pose, matches: Matches, model: PortModel, scale: float, gat
 def _with_nuisance(equations: Refined, matches: Matches, measured: Measured, scene: Scene, model: PortModel) -> Refined:
     """The same equations with columns for what part and sweep may do that the model does not say."""
     pose = equations.T_prior_port
-    sweep = measured.origins[matches.kept] @ scene.sweep_direction
-    towards = np.median(measured.origins, axis=0) - pose.translation
-    extra, sigma = columns(pose, matches, sweep, towards / np.linalg.norm(towards), model)
-    blank = np.zeros((len(equations.distance) - equations.planes, len(sigma)))
+    order = np.concatenate([np.arange(equations.planes), equations.beyond])
+    sweep = (measured.origins[matches.kept] - scene.sweep_middle) @ scene.sweep_direction
+    towards = pose.inverse().apply(np.median(measured.origins, axis=0))
+    direction = pose.inverse().rotate(scene.sweep_direction)
+    view = towards - (towards @ direction) * direction
+    rows = Rows(
+        equations.local,
+        equations.jacobian[:, :3],
+        model.surface.level[matches.index][order].astype(np.int64),
+        np.arange(len(order)) >= equations.planes,
+        sweep[order],
+        direction,
+        view / np.linalg.norm(view),
+    )
+    extra, sigma = columns(rows, int(model.surface.level.max()))
     return replace(
         equations,
-        jacobian=np.hstack([equations.jacobian, np.vstack([extra, blank])]),
+        jacobian=np.hstack([equations.jacobian, extra]),
         precision=np.concatenate([equations.precision, sigma**-2]),
     )
 
