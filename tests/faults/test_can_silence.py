@@ -146,7 +146,7 @@ def test_a_silent_robot_that_is_clear_leaves_the_charging_alone(bench: Bench) ->
     bench.flags = bench.flags & ~HOLDS_PLUG | CLEAR
     _tick(bench, 0.3)
     _fall_silent(bench)
-    _tick(bench, 1.0)
+    _tick(bench, 1.6)
     assert bench.charger.status().state is ChargerState.CHARGING
     assert bench.charger.status().motion_inhibit
 
