@@ -179,7 +179,7 @@ class DeadlinesConfig(Section):
     self_check_s: Annotated[float, Field(gt=0, le=600)] = 30.0
     staging_s: Annotated[float, Field(gt=0, le=600)] = 40.0
     scanning_s: Annotated[float, Field(gt=0, le=600)] = 60.0
-    locating_s: Annotated[float, Field(gt=0, le=600)] = 60.0
+    locating_s: Annotated[float, Field(gt=0, le=600)] = 120.0
     approaching_s: Annotated[float, Field(gt=0, le=600)] = 40.0
     inserting_s: Annotated[float, Field(gt=0, le=600)] = 60.0
     verifying_s: Annotated[float, Field(gt=0, le=600)] = 15.0
