@@ -9,7 +9,7 @@ from typing import ClassVar
 import numpy as np
 
 from drivers.base import ArmState
-from drivers.clock_fit import fit_clock
+from drivers.clock_fit import MAX_DRIFT, fit_clock
 from perception.errors import PortdockError
 from perception.geometry import Array, Pose, interpolate
 from perception.scan import Profile, Scan
@@ -22,6 +22,8 @@ MAX_SPREAD_SHARE = 0.5
 """Of the sweep's length: a busy computer is late by less, a clock of another unit or rate is off by more."""
 MAX_EARLY_S = 0.02
 """The promptest 5 % of all samples come within this; else perhaps none was prompt, and the cloud would be displaced."""
+MAX_EARLY_UNSTEADY_S = 0.002
+"""The same where the drift stands at its bound."""
 MIN_PROFILES = 10
 
 
@@ -98,7 +100,8 @@ def _on_host(device_s: Array, host_s: Array, rate: float, name: str) -> Array:
             f"the {name}'s clock does not run with this computer's: samples came up to {fit.spread_s:.2f} s late",
             remedy="Check the load of this computer and the unit of the device's time stamp; scan again.",
         )
-    if fit.early_s > MAX_EARLY_S:
+    unsteady = abs(fit.drift) > 0.999 * MAX_DRIFT  # delays that grow or shrink over the sweep pull at the slope
+    if fit.early_s > (MAX_EARLY_UNSTEADY_S if unsteady else MAX_EARLY_S):
         raise SweepError(
             f"it is uncertain when samples of the {name} were taken: even the promptest 5 % came spread over"
             f" {fit.early_s * 1e3:.0f} ms",

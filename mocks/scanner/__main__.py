@@ -38,11 +38,14 @@ from mocks.scanner.sources import GrooveSource, RecordedSource, Source
 from mocks.scanner.streaming_device import StreamingDevice, StreamTiming
 from mocks.scanner.wire_faults import FaultRates, WireFaults
 
+RATE_HZ = 70.0
+
 
 def main(arguments: list[str] | None = None) -> int:
     """Run until SIGTERM, SIGINT or end of the parent's pipe. Returns the exit code."""
     parser = _parser()
     options = parser.parse_args(arguments)
+    sys.setswitchinterval(0.0005)  # the optics' thread must not hold up the line
     if options.source == "world" and options.world is None:
         parser.error("--source world needs --world DIR")
     if options.protocol == "scip" and options.source != "groove":
@@ -58,7 +61,7 @@ def main(arguments: list[str] | None = None) -> int:
     buffer_bytes = int(options.buffer_bytes * max(1.0, clock.scale))  # the client's wall time to react stays the same
     wire = PacedWire(line, WireFaults(rates, rng), options.baud, buffer_bytes)
     timing = StreamTiming(
-        options.rate_hz,
+        options.rate_hz or RATE_HZ / max(1.0, clock.scale / 2.0),  # ray-casting must keep pace with a fast world
         options.exposure_s,
         options.latency_s,
         options.jitter_s,
@@ -110,7 +113,7 @@ def _parser() -> argparse.ArgumentParser:
     add("--baud", type=int, help="the device's own baud rate; default: the client's")
     add("--seed", type=int, default=0)
     add("--time-scale", type=float, default=1.0, help="emulated seconds per second; with a world, its own is used")
-    add("--rate-hz", type=float, default=70.0, help="profiles per emulated second")
+    add("--rate-hz", type=float, help="profiles per emulated second; default 70, less in a world above twice wall pace")
     add("--exposure-s", type=float, default=500e-6)
     add("--latency-s", type=float, default=0.0, help="from the end of exposure to the first bit")
     add("--jitter-s", type=float, default=0.0, help="further delay of each frame, uniform up to this")

@@ -36,6 +36,11 @@ class PacedWire:
         self._pending.append((not_before_s, data))
 
     @property
+    def blocked(self) -> bool:
+        """Bytes are due for which the client's buffer has no room."""
+        return bool(self._buffer)
+
+    @property
     def idle(self) -> bool:
         """Nothing waits to be sent."""
         return not self._pending and not self._buffer

@@ -39,7 +39,7 @@ def serve(
     stopping: threading.Event,
     requests: queue.SimpleQueue[Callable[[], None]],
 ) -> None:
-    """Until ``stopping`` is set. Wakes at once for commands, else every TICK_S of wall time.
+    """Until ``stopping`` is set. Wakes at once for commands and for room in the client's buffer, else every TICK_S.
 
     :param requests: what others (signal handlers) want done between two turns of this loop
     """
@@ -48,7 +48,8 @@ def serve(
             while not requests.empty():
                 requests.get()()
             if line.plugged_in:
-                readable, _, _ = select.select([line.fileno()], [], [], TICK_S)
+                waiting = [line.fileno()] if wire.blocked else []
+                readable, _, _ = select.select([line.fileno()], waiting, [], TICK_S)
                 if readable:
                     device.receive(line.read())
             else:
