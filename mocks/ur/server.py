@@ -24,6 +24,8 @@ log = logging.getLogger(__name__)
 
 MAX_LATE_S = 0.1
 """Wall seconds that are caught up."""
+BATCH_S = 0.004
+"""Faster than real time, the steps of so many wall seconds are taken together and the newest state is sent."""
 
 
 class UrServer:
@@ -67,7 +69,7 @@ class UrServer:
         self.controller.time_s = self._world_time_s()
         while not self.stopping:
             due_in_s = (self.controller.time_s + self._dt - self._world_time_s()) / self._time_scale
-            self._poll(max(0.0, due_in_s))
+            self._poll(max(0.0 if self._time_scale <= 1.0 else BATCH_S, due_in_s))
             self._advance()
         self.close()
 
