@@ -34,6 +34,8 @@ _EDGE_NOISE_SIGMAS = 2.5
 _WALL_NOISE_M = 0.0001
 """A wall is seen at grazing angles, through few points and mixed pixels: each of them is this much worse."""
 _EDGE_GATE_M = 0.0010
+_EDGES_M = 0.00005
+"""All edges together fix the port sideways no better than this: what makes an edge look displaced is common to many."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -107,6 +109,7 @@ def _equations(pose: Pose, matches: Matches, model: PortModel, scale: float, gat
     beyond = np.flatnonzero((matches.overhang > 0) & (np.abs(matches.distance) < max(3 * scale, gate)))
     edge_noise = _EDGE_NOISE_M + _EDGE_NOISE_SIGMAS * scale
     edge_weight = _tukey(matches.overhang[beyond], _EDGE_GATE_M) / edge_noise**2
+    edge_weight *= min(1.0, _EDGES_M**-2 / max(0.5 * float(edge_weight.sum()), 1e-9))
     planes = np.hstack([matches.normal, np.cross(matches.local, matches.normal)])
     outward = matches.outward[beyond]
     edges = np.hstack([outward, np.cross(matches.local[beyond], outward)])
