@@ -20,8 +20,9 @@ def covariance(refined: Refined) -> Array:
     inverse = np.linalg.inv(refined.information)
     patch = np.unique(_patches(refined), return_inverse=True)[1]
     count = int(patch.max()) + 1
-    pull = refined.jacobian * (refined.weight * refined.distance)[:, None]
-    sums = np.stack([np.bincount(patch, pull[:, k], minlength=count) for k in range(pull.shape[1])], axis=1)
+    order = np.argsort(patch, kind="stable")
+    pull = refined.jacobian[order] * (refined.weight * refined.distance)[order, None]
+    sums = np.add.reduceat(pull, np.searchsorted(patch[order], np.arange(count)), axis=0)
     clustered = inverse @ (sums.T @ sums) @ inverse * (count / max(count - 6, 1))
     return np.asarray((inverse + clustered)[:6, :6])
 

@@ -21,7 +21,7 @@ LEVEL_M = 0.00015
 SPEED = 0.002
 VIBRATION_M = 0.00008
 EDGE_M = 0.0002
-KNOT_M = 0.006
+KNOT_M = 0.008
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -18,14 +18,16 @@ from perception.front_map import FrontMap, build_front_map
 from perception.geometry import Array, Pose
 from perception.mesh_io import checked_mesh
 from perception.nearest import NearestField, build_nearest
+from perception.relief import Templates, build_templates
 from perception.surface import Surface, visible_surface
 
 _log = logging.getLogger(__name__)
 
-_VERSION = "8"
+_VERSION = "9"
 """Part of the cache key: raise it when the preparation changes."""
 SPACING_M = 0.0012
 EDGE_SPACING_M = 0.0004
+USUAL_ROLL_RAD = float(np.deg2rad(15.0))
 FACING_M = 0.003
 """Millimetres of distance that a difference of one radian in facing direction counts as."""
 
@@ -54,6 +56,8 @@ class PortModel:
     """Look-up of the nearest sample of ``surface``."""
     front: FrontMap
     """Heights seen from the front, for local evidence."""
+    templates: Templates
+    """Signed volumes for the search, at the rolls of the usual prior."""
     checksum: str
     """Hash of the mesh; equal checksums mean equal models."""
     T_port_tcp: Pose = field(default_factory=Pose.identity)
@@ -85,7 +89,8 @@ class PortModel:
         if prepared is None:
             dense = visible_surface(vertices, faces)
             surface = dense.thinned(SPACING_M, EDGE_SPACING_M)
-            prepared = surface, build_nearest(surface), build_front_map(dense.points)
+            templates = build_templates(surface, USUAL_ROLL_RAD)
+            prepared = surface, build_nearest(surface), build_front_map(dense.points), templates
             _save(path, *prepared)
         return PortModel(
             name,
@@ -107,6 +112,12 @@ class PortModel:
         keys = np.hstack([self.surface.points, FACING_M * self.surface.normals])
         return cKDTree(keys, balanced_tree=False, compact_nodes=False)
 
+    def templates_for(self, roll_rad: float) -> Templates:
+        """The signed volumes for rolls up to ``roll_rad``; the prepared ones where they fit."""
+        if abs(roll_rad - USUAL_ROLL_RAD) < 1e-6:
+            return self.templates
+        return build_templates(self.surface, roll_rad)
+
     @property
     def size(self) -> tuple[Array, Array]:
         """Lowest and highest corner (3,) of the visible surface."""
@@ -125,7 +136,7 @@ def _checksum(vertices: Array, faces: NDArray[np.int64]) -> str:
     return digest.hexdigest()
 
 
-_Prepared = tuple[Surface, NearestField, FrontMap]
+_Prepared = tuple[Surface, NearestField, FrontMap, Templates]
 
 
 def _load(path: Path) -> _Prepared | None:
@@ -136,7 +147,9 @@ def _load(path: Path) -> _Prepared | None:
             grid = archive["grid"]
             nearest = NearestField(grid[:3], archive["index"], float(grid[3]), len(surface))
             lowest, highest, distinct = archive["front"]
-            return surface, nearest, FrontMap(archive["front_low"], lowest, highest, distinct, archive["feature"])
+            front = FrontMap(archive["front_low"], lowest, highest, distinct, archive["feature"])
+            templates = Templates(archive["rolls"], archive["template_low"], archive["templates"])
+            return surface, nearest, front, templates
     except FileNotFoundError:
         return None
     except Exception as error:  # a broken cache file must never stop a docking: prepare again
@@ -144,7 +157,7 @@ def _load(path: Path) -> _Prepared | None:
         return None
 
 
-def _save(path: Path, surface: Surface, nearest: NearestField, front: FrontMap) -> None:
+def _save(path: Path, surface: Surface, nearest: NearestField, front: FrontMap, templates: Templates) -> None:
     """Writes beside and renames, so that two processes at once do no harm. What cannot be written is not cached."""
     scalars = (surface.visibility, surface.edge_m, surface.area_m2, surface.level)
     columns = np.column_stack([surface.points, surface.normals, *scalars])
@@ -159,6 +172,9 @@ def _save(path: Path, surface: Surface, nearest: NearestField, front: FrontMap) 
                 front_low=front.low,
                 front=np.stack([front.lowest, front.highest, front.distinct]),
                 feature=front.feature,
+                rolls=templates.rolls,
+                template_low=templates.low,
+                templates=templates.volumes,
             )
         os.replace(file.name, path)
     except OSError as error:

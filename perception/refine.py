@@ -18,14 +18,15 @@ from perception.matching import Matches, Measured, match, measure
 from perception.nuisance import Rows, columns
 from perception.port_model import PortModel
 
-ROUNDS = 14
+ROUNDS = 16
 FULL_ROUNDS = 2
-_SUBSET = 6000
+_SUBSET = 4000
 _MIN_SCALE_M = 0.00003
 _TUKEY = 4.0
 """Points further off than this many robust standard deviations have no weight."""
 _FIRST_GATE_M = 0.0015
-_GATE_SHRINK = 0.75
+_GATE_SHRINK = 0.72
+_WIDE_ROUNDS = 5
 _EDGE_SIGMAS = 2.5
 """A point nearer to an edge than this many standard deviations may belong to either side."""
 _EDGE_NOISE_M = 0.0006
@@ -69,7 +70,8 @@ class Refined:
     @property
     def information(self) -> Array:
         """(6 + K, 6 + K) normal matrix with the priors."""
-        return np.asarray((self.jacobian * self.weight[:, None]).T @ self.jacobian + np.diag(self.precision))
+        scaled = self.jacobian * np.sqrt(self.weight)[:, None]
+        return np.asarray(scaled.T @ scaled + np.diag(self.precision))
 
 
 def refine(start: Pose, scene: Scene, model: PortModel, *, rounds: int = ROUNDS, threads: int = 2) -> Refined:
@@ -82,7 +84,7 @@ def refine(start: Pose, scene: Scene, model: PortModel, *, rounds: int = ROUNDS,
     pose, scale = start, 0.0005
     for round_ in range(rounds):
         current = some if round_ < rounds - FULL_ROUNDS else everything
-        gate = _FIRST_GATE_M * _GATE_SHRINK**round_
+        gate = _FIRST_GATE_M * _GATE_SHRINK ** max(round_ - _WIDE_ROUNDS, 0)
         matches = match(pose, current, model, threads)
         scale = _robust_scale(matches.distance, previous=scale)
         equations = _equations(pose, matches, model, scale, gate)

@@ -7,15 +7,19 @@ hold an occluder. Outside the port's silhouette it is zero: there the car may lo
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter, minimum_filter
 
-from perception.geometry import Array
+from perception.geometry import Array, Pose
 from perception.surface import Surface
 
 Volume = NDArray[np.float32]
 
+CELL_M = 0.0025
+ROLL_STEP_RAD = float(np.deg2rad(4.0))
 _SMALL_FLAT_M2 = 3e-4
 _SOLID = -0.7
 _FREE = -0.3
@@ -50,3 +54,28 @@ def signed_volume(points: Array, weights: Array, low: Array, shape: tuple[int, i
     volume[empty & (z < (lowest - cell_m)[:, :, None])] = _SOLID
     volume[empty & (z > (highest + cell_m)[:, :, None])] = _FREE
     return volume
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Templates:
+    """Signed volumes of a port at several rolls, all in one box."""
+
+    rolls: Array
+    """(R,) radians."""
+    low: Array
+    """(3,) corner of the box."""
+    volumes: Volume
+    """(R, X, Y, Z)."""
+
+
+def build_templates(surface: Surface, roll_rad: float) -> Templates:
+    """The volumes for rolls from ``-roll_rad`` to ``roll_rad``, at most ``ROLL_STEP_RAD`` apart."""
+    count = int(np.ceil(roll_rad / ROLL_STEP_RAD - 1e-9))
+    rolls = np.linspace(-roll_rad, roll_rad, 2 * count + 1)
+    weights = flat_weights(surface)
+    turned = [surface.points @ Pose.from_rotvec([0.0, 0.0, roll]).rotation.T for roll in rolls]
+    low = np.min([points.min(axis=0) for points in turned], axis=0) - CELL_M
+    high = np.max([points.max(axis=0) for points in turned], axis=0) + 4 * CELL_M
+    x, y, z = (int(n) for n in np.ceil((high - low) / CELL_M))
+    volumes = np.stack([signed_volume(points, weights, low, (x, y, z), CELL_M) for points in turned])
+    return Templates(rolls, low, volumes)

@@ -15,12 +15,10 @@ from scipy.ndimage import maximum_filter
 from perception.estimate import Prior
 from perception.geometry import Array, Pose
 from perception.port_model import PortModel
-from perception.relief import Volume, flat_weights, signed_volume
+from perception.relief import CELL_M, Templates, Volume
 
-CELL_M = 0.0025
 MARGIN_M = 0.005
 """The search goes this far beyond the prior's bounds, so that a port at the bound is a peak and not a slope."""
-ROLL_STEP_RAD = float(np.deg2rad(4.0))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -39,9 +37,10 @@ def search(
     :param points: (N, 3) thinned scan in the prior frame.
     :param axes: (K, 3) hypothesised mating axes.
     """
-    rolls = _rolls(prior.roll_rad)
+    templates = model.templates_for(prior.roll_rad)
     reach = _reach(prior)
-    templates, low, shape = _templates(model, rolls, reach, threads)
+    spectra, shape = _spectra(templates, reach, threads)
+    rolls, low = templates.rolls, templates.low
     found = list[Candidate]()
     for axis in axes:
         frame = axis_frame(axis)
@@ -49,7 +48,7 @@ def search(
         spectrum = scipy.fft.rfftn(volume, workers=threads)
         steps = (2 * reach / CELL_M).astype(int) + 1
         score = np.empty((len(rolls), *steps), dtype=np.float32)
-        for k, template in enumerate(templates):
+        for k, template in enumerate(spectra):
             full = scipy.fft.irfftn(spectrum * template, s=shape, workers=threads)
             score[k] = full[: steps[0], : steps[1], : steps[2]]
         found += _peaks(score, frame, rolls, reach, prior, keep)
@@ -75,27 +74,11 @@ def _reach(prior: Prior) -> Array:
     return np.array([side + along * sine, side + along * sine, along + side * sine])
 
 
-def _rolls(limit_rad: float) -> Array:
-    count = int(np.ceil(limit_rad / ROLL_STEP_RAD))
-    return np.linspace(-limit_rad, limit_rad, 2 * count + 1)
-
-
-def _templates(
-    model: PortModel, rolls: Array, reach: Array, threads: int
-) -> tuple[list[Array], Array, tuple[int, int, int]]:
-    """Conjugate spectra of the rolled signed volumes, their lowest corner and the padded shape."""
-    weights = flat_weights(model.surface)
-    rolled = [model.surface.points @ Pose.from_rotvec([0, 0, roll]).rotation.T for roll in rolls]
-    low = np.min([points.min(axis=0) for points in rolled], axis=0) - CELL_M
-    high = np.max([points.max(axis=0) for points in rolled], axis=0) + 4 * CELL_M
-    size = np.ceil((high - low) / CELL_M).astype(int)
-    padded = size + np.ceil(2 * reach / CELL_M).astype(int) + 1
+def _spectra(templates: Templates, reach: Array, threads: int) -> tuple[list[Array], tuple[int, int, int]]:
+    """Conjugate spectra of the templates, and the shape they are padded to, which holds the search range as well."""
+    padded = np.array(templates.volumes.shape[1:]) + np.ceil(2 * reach / CELL_M).astype(int) + 1
     x, y, z = (int(scipy.fft.next_fast_len(int(n), real=True)) for n in padded)
-    spectra = []
-    for points in rolled:
-        volume = signed_volume(points, weights, low, (int(size[0]), int(size[1]), int(size[2])), CELL_M)
-        spectra.append(np.conj(scipy.fft.rfftn(volume, s=(x, y, z), workers=threads)))
-    return spectra, low, (x, y, z)
+    return [np.conj(scipy.fft.rfftn(volume, s=(x, y, z), workers=threads)) for volume in templates.volumes], (x, y, z)
 
 
 def _occupancy(points: Array, low: Array, shape: tuple[int, int, int]) -> Volume:

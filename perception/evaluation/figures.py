@@ -102,7 +102,7 @@ def _over_integrity(cells: Cells) -> Figure:
         axes.invert_xaxis()
         axes.grid(alpha=0.3)
     left.set_yscale("log")
-    left.legend(fontsize=6)
+    figure.legend(*left.get_legend_handles_labels(), fontsize=7, ncols=4, loc="outside lower center")
     figure.suptitle(f"one side cut off, after 5 registrations, {_trials(cells)}", fontsize=9)
     return figure
 

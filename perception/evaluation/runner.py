@@ -17,6 +17,7 @@ from pathlib import Path
 
 from perception.errors import InputError
 from perception.evaluation import records
+from perception.evaluation.merge_run import run_merge_trial
 from perception.evaluation.records import MergeRecord, Record, SplitRecord, TrialRecord
 from perception.evaluation.trial_run import Bench, make_bench, run_split_control, run_trial
 from perception.evaluation.trials import ALL_CONDITIONS, COMPLETE, Condition
@@ -50,8 +51,10 @@ class _Task:
     conditions: tuple[Condition, ...]
     number: int
     seed: int
-    extras: bool
-    """The split rules and the merge of views too."""
+    splits: bool = False
+    """The split rules too."""
+    merge: bool = False
+    """The merge of views without a model too."""
 
 
 def full_plan(ports: tuple[PortShape, PortShape], seed: int, trials: int) -> Plan:
@@ -75,19 +78,24 @@ def run(plan: Plan, out: Path, jobs: int, progress: Progress) -> list[Record]:
     _check_plan(plan, out / _PLAN)
     path = out / RESULTS
     tasks = list(_missing(plan, records.read(path)))
-    total = sum(len(task.conditions) for task in _all_tasks(plan))
-    done = total - sum(len(task.conditions) for task in tasks)
+    total = sum(_weight(task) for task in _all_tasks(plan))
+    done = total - sum(_weight(task) for task in tasks)
     progress(done, total)
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ[name] = "1"  # one core for each process, so that milliseconds are those of one core
     context = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(jobs, context, _start_worker, (plan.ports,)) as pool:
         for future in as_completed([pool.submit(_work, task) for task in tasks]):
-            conditions, found = future.result()
+            finished, found = future.result()
             records.append(path, found)
-            done += conditions
+            done += finished
             progress(done, total)
     return _sorted(plan, records.read(path))
+
+
+def _weight(task: _Task) -> int:
+    """What a task counts in the progress."""
+    return len(task.conditions) + int(task.merge)
 
 
 def _all_tasks(plan: Plan) -> list[_Task]:
@@ -97,21 +105,26 @@ def _all_tasks(plan: Plan) -> list[_Task]:
         same_scan = condition.noise_mm, condition.outliers, condition.single_view, condition.second_port
         groups.setdefault(same_scan, []).append(condition)
     return [
-        _Task(tuple(group), number, plan.seed, extras=COMPLETE.name in {c.name for c in group})
+        _Task(tuple(group), number, plan.seed, splits=COMPLETE.name in {c.name for c in group})
         for number in range(plan.trials)
         for group in groups.values()
-    ]
+    ] + [_Task((), number, plan.seed, merge=True) for number in range(plan.trials)]
 
 
 def _missing(plan: Plan, known: list[Record]) -> list[_Task]:
     have = {(r.condition, r.trial) for r in known if isinstance(r, TrialRecord)}
-    tasks = []
-    for task in _all_tasks(plan):
-        left = tuple(c for c in task.conditions if (c.name, task.number) not in have)
-        if left:
-            complete_left = any(c.name == COMPLETE.name for c in left)
-            tasks.append(replace(task, conditions=left, extras=task.extras and complete_left))
-    return tasks
+    split = {r.trial for r in known if isinstance(r, SplitRecord)}
+    merged = {r.trial for r in known if isinstance(r, MergeRecord)}
+    tasks = [
+        replace(
+            task,
+            conditions=tuple(c for c in task.conditions if (c.name, task.number) not in have),
+            splits=task.splits and task.number not in split,
+            merge=task.merge and task.number not in merged,
+        )
+        for task in _all_tasks(plan)
+    ]
+    return [task for task in tasks if task.conditions or task.splits or task.merge]
 
 
 def _sorted(plan: Plan, found: list[Record]) -> list[Record]:
@@ -162,9 +175,11 @@ def _work(task: _Task) -> tuple[int, list[Record]]:
     found: list[Record] = []
     for condition in task.conditions:
         found += run_trial(_bench(condition.second_port), condition, task.seed, task.number)
-    if task.extras:
+    if task.splits:
         found += run_split_control(_bench(False), COMPLETE, task.seed, task.number)
-    return len(task.conditions), found
+    if task.merge:
+        found += run_merge_trial(_ports[0], task.seed, task.number)
+    return _weight(task), found
 
 
 __all__ = ["RESULTS", "MergeRecord", "Plan", "full_plan", "quick_plan", "run"]

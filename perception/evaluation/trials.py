@@ -22,7 +22,7 @@ from perception.published.kdtree_numpy import Mask
 
 TARGET_POINTS, TEST_POINTS = 10_000, 8_000
 _TARGET_NOISE_MM = 0.05
-_MARGIN_M = 0.022
+MARGIN_M = 0.022
 _VEHICLE_SEED = 20_230
 """Of the vehicle type: pocket, panel and cover."""
 _PANEL_BEND_M = 0.0004
@@ -95,7 +95,7 @@ def make_target(shape: PortShape) -> Array:
     rng = np.random.default_rng(_VEHICLE_SEED)
     noise_m = _TARGET_NOISE_MM / 1e3
     scene = _designed(shape)
-    views = simulate_views(shape, FIVE_VIEWS, TARGET_POINTS, noise_m, 0.0, rng, scene=scene, margin_m=_MARGIN_M)
+    views = simulate_views(shape, FIVE_VIEWS, TARGET_POINTS, noise_m, 0.0, rng, scene=scene, margin_m=MARGIN_M)
     return np.asarray(views.T_cloud_port.inverse().apply(views.cloud.points) * 1e3)
 
 
@@ -104,7 +104,7 @@ def _designed(shape: PortShape) -> Scene:
     return build_scene(spec, np.random.default_rng(_VEHICLE_SEED))
 
 
-def _as_built(shape: PortShape, rng: np.random.Generator) -> Scene:
+def as_built(shape: PortShape, rng: np.random.Generator) -> Scene:
     """A vehicle of the designed type: its own inlet within tolerance, its panel bent a little, surfaces of its own."""
     designed, other = _designed(shape), build_scene(SceneSpec(shape), rng)
     around, inlet = designed.kind != KINDS.index("port"), other.kind == KINDS.index("port")
@@ -133,8 +133,8 @@ class _Scan:
 @lru_cache(maxsize=2)
 def _scan(shape: PortShape, noise_mm: float, outliers: float, single_view: bool, seed: int, number: int) -> _Scan:
     rng = np.random.default_rng([seed, number])
-    scene, views = _as_built(shape, rng), _views(single_view, rng)
-    scan = simulate_views(shape, views, TEST_POINTS, noise_mm / 1e3, outliers, rng, scene=scene, margin_m=_MARGIN_M)
+    scene, views = as_built(shape, rng), _views(single_view, rng)
+    scan = simulate_views(shape, views, TEST_POINTS, noise_mm / 1e3, outliers, rng, scene=scene, margin_m=MARGIN_M)
     return _Scan(scan.T_cloud_port.inverse().apply(scan.cloud.points) * 1e3, scan.good)
 
 

@@ -161,7 +161,7 @@ def _round(state: _State, kappa: float) -> Round:
     pose = result.T_target_test
     if state.settings.dense:
         pose = _refined(state, pose, dense.MAX_POINTS, dense.GATES_SPACINGS)
-    score = trimmed_distance(state.ranked, state.target.tree, pose) if result.valid else float("inf")
+    score = _score(state, state.ranked, pose) if result.valid else float("inf")
     if score < min((r.score_mm2 for r in state.rounds), default=float("inf")) or not state.settings.best_of_rounds:
         state.pose = pose
     done = Round(kappa, keep, len(keypoints), result.loss_mm2, pose, score, state.pose, time.perf_counter() - begun)
@@ -192,7 +192,7 @@ def _align(state: _State, keypoints: Keypoints) -> IcpResult:
     if not coarse:
         return keypoint_icp(keypoints.points, tree, [state.pose], icp)[0]
     sample = dense.subset(state.ranked, _COARSE_POINTS)
-    coarse.sort(key=lambda r: trimmed_distance(sample, state.target.tree, r.T_target_test))
+    coarse.sort(key=lambda r: _score(state, sample, r.T_target_test))
     best = [result.T_target_test for result in coarse[: state.settings.refine_top]]
     results = keypoint_icp(keypoints.points, tree, best, icp)
 
@@ -200,9 +200,13 @@ def _align(state: _State, keypoints: Keypoints) -> IcpResult:
         pose = result.T_target_test
         if state.settings.dense:
             pose = _refined(state, pose, _COARSE_POINTS, dense.GATES_SPACINGS[:3])
-        return trimmed_distance(state.ranked, state.target.tree, pose)
+        return _score(state, state.ranked, pose)
 
     return min(results, key=score)
+
+
+def _score(state: _State, points: Array, pose: Pose) -> float:
+    return trimmed_distance(points, state.target.tree, pose, state.settings.ranked_share)
 
 
 def _refined(state: _State, pose: Pose, limit: int, gates_spacings: tuple[float, ...]) -> Pose:

@@ -39,6 +39,8 @@ class MethodSettings:
     many_starts: bool = False
     """Try 27 rotations about the start as well, and refine the best few before choosing."""
     refine_top: int = 4
+    ranked_share: float = 0.7
+    """Poses are ranked by the distances of this share of the scan, the nearest: the rest may have no counterpart."""
     dense: bool = False
     """Refine each pose point-to-plane on the cloud itself."""
 
