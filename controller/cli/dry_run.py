@@ -18,7 +18,7 @@ from controller.port_files import load_port
 from controller.scenarios import SCENARIOS, draw_scenario
 from controller.summary import MissionSummary
 
-FAST_FACTOR = 4.0
+FAST_FACTOR = 2.0
 """Emulated seconds per wall second with --fast."""
 
 
