@@ -22,6 +22,7 @@ import os
 import queue
 import signal
 import sys
+import tempfile
 import threading
 from collections.abc import Callable
 from pathlib import Path
@@ -56,7 +57,9 @@ def main(arguments: list[str] | None = None) -> int:
         signal.signal(number, lambda *_: stopping.set())
     rng = np.random.default_rng(options.seed)
     source, clock = _source(options, rng)
-    line = PtyLine(options.link)
+    own_folder = tempfile.TemporaryDirectory(prefix="portdock-scanner-") if options.link is None else None
+    link = options.link or Path(own_folder.name if own_folder else "") / "scanner"
+    line = PtyLine(link)
     rates = FaultRates(options.lost, options.doubled, options.flipped, options.stall_at_s, options.stall_s)
     buffer_bytes = int(options.buffer_bytes * max(1.0, clock.scale))  # the client's wall time to react stays the same
     wire = PacedWire(line, WireFaults(rates, rng), options.baud, buffer_bytes)
@@ -81,12 +84,14 @@ def main(arguments: list[str] | None = None) -> int:
     signal.signal(signal.SIGUSR1, lambda *_: requests.put(line.unplug))
     signal.signal(signal.SIGUSR2, lambda *_: requests.put(line.plug_in))
     line.plug_in()
-    sys.stdout.write(json.dumps({"device": str(options.link), "protocol": options.protocol, "pid": os.getpid()}) + "\n")
+    sys.stdout.write(json.dumps({"device": str(link), "protocol": options.protocol, "pid": os.getpid()}) + "\n")
     sys.stdout.flush()
     try:
         serve(device, line, wire, clock, stopping, requests)
     finally:
         line.unplug()
+        if own_folder is not None:
+            own_folder.cleanup()
     return 0
 
 
@@ -106,7 +111,7 @@ def _source(options: argparse.Namespace, rng: np.random.Generator) -> tuple[Sour
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="mocks.scanner", description="A mock laser scanner on a pty.")
     add = parser.add_argument
-    add("--link", type=Path, required=True, help="symlink to make: the device name that clients open")
+    add("--link", type=Path, help="symlink to make, the device name that clients open; default: one of its own")
     add("--protocol", choices=("framed", "profiler2", "scip"), default="framed", help="framed: the preset wide_xz")
     add("--source", default="groove", help="groove, world, or the path of a recorded sweep (.npz)")
     add("--world", type=Path, help="folder of the mock world, for --source world")
