@@ -50,7 +50,8 @@ def test_trimming_ignores_keypoints_without_a_counterpart():
     test = true.inverse().apply(target)
     test[:30] += rng.uniform(15, 25, (30, 3))
     trimmed, plain = (
-        keypoint_icp(test, cKDTree(target), [Pose.identity()], IcpSettings(trims=t))[0].T_target_test for t in ((0.8,), (1.0,))
+        keypoint_icp(test, cKDTree(target), [Pose.identity()], IcpSettings(trims=t))[0].T_target_test
+        for t in ((0.8,), (1.0,))
     )
     assert trimmed.angle_to(true) < 1e-5
     assert plain.angle_to(true) > 100 * trimmed.angle_to(true)

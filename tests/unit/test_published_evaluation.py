@@ -1,0 +1,134 @@
+"""The evaluation: its trials, its baselines, and a runner that can be stopped and taken up again."""
+
+import itertools
+
+import numpy as np
+import pytest
+
+from controller.port_files import load_port
+from perception.errors import InputError
+from perception.evaluation import runner, trials
+from perception.evaluation.baseline1 import SketchMacroMicroBaseline
+from perception.evaluation.baseline2 import FourPointBaseline
+from perception.evaluation.methods import METHODS, chosen
+from perception.evaluation.outcomes import Problem
+from perception.evaluation.peers import Open3DPeer
+from perception.evaluation.records import SplitRecord, TrialRecord
+from perception.evaluation.trials import ALL_CONDITIONS, COMPLETE, PARTIAL, make_target, make_trial
+from perception.geometry import Pose
+
+
+@pytest.fixture(scope="module")
+def shape():
+    return load_port("ccs2").shape
+
+
+@pytest.fixture(scope="module")
+def target(shape):
+    return make_target(shape)
+
+
+def test_a_trial_is_the_same_for_the_same_seed_and_another_for_another(shape):
+    first = make_trial(shape, COMPLETE, 5, 0)
+    trials._scan.cache_clear()
+    again, other = make_trial(shape, COMPLETE, 5, 0), make_trial(shape, COMPLETE, 5, 1)
+    np.testing.assert_array_equal(first.test, again.test)
+    np.testing.assert_array_equal(first.T_target_test.matrix, again.T_target_test.matrix)
+    assert not np.allclose(first.T_target_test.matrix, other.T_target_test.matrix)
+
+
+def test_integrity_keeps_its_share_on_one_side(shape):
+    whole, part = make_trial(shape, COMPLETE, 5, 0), make_trial(shape, PARTIAL, 5, 0)
+    assert len(part.test) / len(whole.test) == pytest.approx(0.65, abs=0.005)
+
+
+def test_the_scan_lies_on_the_target_at_the_true_pose_but_is_not_made_of_its_points(shape, target):
+    from scipy.spatial import cKDTree
+
+    trial = make_trial(shape, COMPLETE, 5, 0)
+    placed = trial.T_target_test.apply(trial.test[trial.good])
+    distance = cKDTree(target).query(placed)[0]
+    assert np.median(distance) < 1.5
+    assert (distance > 1e-3).mean() > 0.99
+
+
+@pytest.mark.parametrize("build", [
+    lambda t: SketchMacroMicroBaseline(t, np.random.default_rng(0)),
+    FourPointBaseline,
+    lambda t: Open3DPeer(t, "ransac"),
+], ids=["baseline-1", "baseline-2", "open3d"])  # fmt: skip
+def test_every_baseline_recovers_five_degrees_without_noise(target, build):
+    true = Pose.from_rotvec(np.deg2rad(5.0) * np.array([0.6, 0.0, 0.8]), [2.0, -1.0, 1.0])
+    outcome = build(target)(Problem(true.inverse().apply(target), 6, 3))
+    error = outcome[-1].T_target_test @ true.inverse()
+    assert np.rad2deg(error.angle_to(Pose.identity())) < 2.0
+    assert np.linalg.norm(error.translation) < 2.0
+    assert len(outcome) in (1, 6)
+
+
+def test_every_condition_runs_the_profiles_and_both_baselines():
+    for condition in ALL_CONDITIONS:
+        names = {method.name for method in chosen(condition)}
+        assert {"literal", "faithful", "robust", "b1", "b2"} <= names
+    complete = {method.name for method in chosen(COMPLETE)}
+    assert complete == {method.name for method in METHODS}
+
+
+@pytest.mark.slow
+def test_a_stopped_run_is_taken_up_where_it_stopped(shape, tmp_path, monkeypatch):
+    calls = []
+
+    def work(task):
+        calls.append(task)
+        found = [
+            TrialRecord(c.name, task.number, "b1", (), (), (), *[0.5] * 6)  # what matters here is that it is there
+            for c in task.conditions
+        ]
+        if task.splits:
+            found.append(SplitRecord(task.number, "std", 1, 1.0, True, True, 1.0, 1.0))
+        if task.merge:
+            return 1, [runner.MergeRecord(task.number, 1, "joint", 0.1, 0.1)]
+        return len(task.conditions), found
+
+    class Here:
+        def __init__(self, *_args):
+            pass
+
+        def __enter__(self):
+            return self
+
+        def __exit__(self, *_args):
+            return None
+
+        def submit(self, function, task):
+            from concurrent.futures import Future
+
+            future = Future()
+            future.set_result(work(task))
+            return future
+
+    monkeypatch.setattr(runner, "ProcessPoolExecutor", Here)
+    plan = runner.full_plan((shape, shape), 1, 2)
+    seen = []
+    first = runner.run(plan, tmp_path, 1, lambda done, total: seen.append((done, total)))
+    assert seen[-1][0] == seen[-1][1]
+    assert [done for done, _ in seen] == sorted(done for done, _ in seen)
+    all_tasks = len(calls)
+    lines = (tmp_path / runner.RESULTS).read_text().splitlines()
+    (tmp_path / runner.RESULTS).write_text("\n".join(lines[: len(lines) // 2]) + "\n")
+    again = runner.run(plan, tmp_path, 1, lambda *_: None)
+    assert again == first
+    assert 0 < len(calls) - all_tasks < all_tasks
+    more = runner.full_plan((shape, shape), 1, 3)
+    assert len(runner.run(more, tmp_path, 1, lambda *_: None)) > len(first)
+    with pytest.raises(InputError, match="another seed"):
+        runner.run(runner.full_plan((shape, shape), 2, 2), tmp_path, 1, lambda *_: None)
+
+
+def test_a_quick_plan_asks_for_three_integrities_and_few_rounds(shape):
+    plan = runner.quick_plan((shape, shape), 1)
+    cut = sorted({c.integrity for c in plan.conditions if c.name.startswith("integrity")})
+    assert cut == [0.65, 0.80, 1.00]
+    assert max(c.rounds for c in plan.conditions) <= 4
+    assert plan.trials == 6
+    assert len(list(itertools.chain(plan.conditions))) == len({c.name for c in plan.conditions})
