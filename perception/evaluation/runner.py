@@ -28,7 +28,7 @@ _log = logging.getLogger(__name__)
 RESULTS = "results.jsonl"
 _PLAN = "plan.json"
 _QUICK_INTEGRITIES = (1.00, 0.80, 0.65)
-_QUICK_TRIALS, _QUICK_ROUNDS = 6, 4
+_QUICK_TRIALS, _QUICK_ROUNDS, _QUICK_MERGES = 6, 4, 2
 Progress = Callable[[int, int], None]
 """Called with trials done and trials in all."""
 
@@ -42,6 +42,8 @@ class Plan:
     conditions: tuple[Condition, ...]
     ports: tuple[PortShape, PortShape]
     """The port that the defaults were chosen on, and a second one that they never saw."""
+    merges: int
+    """Trials of merging views without a model."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,7 +61,7 @@ class _Task:
 
 def full_plan(ports: tuple[PortShape, PortShape], seed: int, trials: int) -> Plan:
     """Every figure, table, control and condition."""
-    return Plan(seed, trials, ALL_CONDITIONS, ports)
+    return Plan(seed, trials, ALL_CONDITIONS, ports, trials)
 
 
 def quick_plan(ports: tuple[PortShape, PortShape], seed: int) -> Plan:
@@ -69,7 +71,7 @@ def quick_plan(ports: tuple[PortShape, PortShape], seed: int) -> Plan:
         for c in ALL_CONDITIONS
         if c.integrity in _QUICK_INTEGRITIES
     )
-    return Plan(seed, _QUICK_TRIALS, conditions, ports)
+    return Plan(seed, _QUICK_TRIALS, conditions, ports, _QUICK_MERGES)
 
 
 def run(plan: Plan, out: Path, jobs: int, progress: Progress) -> list[Record]:
@@ -108,7 +110,7 @@ def _all_tasks(plan: Plan) -> list[_Task]:
         _Task(tuple(group), number, plan.seed, splits=COMPLETE.name in {c.name for c in group})
         for number in range(plan.trials)
         for group in groups.values()
-    ] + [_Task((), number, plan.seed, merge=True) for number in range(plan.trials)]
+    ] + [_Task((), number, plan.seed, merge=True) for number in range(plan.merges)]
 
 
 def _missing(plan: Plan, known: list[Record]) -> list[_Task]:
