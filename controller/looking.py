@@ -47,10 +47,9 @@ class Looking:
         """The newest scan in the base frame."""
         return self._clouds[-1] if self._clouds else None
 
-    @property
-    def viewpoints_left(self) -> bool:
-        """Whether a scan from a viewpoint not yet used is possible."""
-        return self.scans_made < len(self._config.scan.viewpoints)
+    def may_look_again(self, attempt: int) -> bool:
+        """Whether another scan is due before giving up: one a viewpoint, and one more for each further attempt."""
+        return self.scans_made < len(self._config.scan.viewpoints) + attempt - 1
 
     def forget_scans(self) -> None:
         """The last rung of the ladder trusts nothing that was seen before."""

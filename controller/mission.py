@@ -148,7 +148,7 @@ class Mission:
             return Outcome("stopped")
         if self.now.setback is None:
             return Outcome("charged")
-        refused = self.now.setback.code is FaultCode.PORT_NOT_FOUND and self.now.insertion is None
+        refused = self.now.setback.code is FaultCode.PORT_NOT_FOUND
         return Outcome("refused" if refused else "intervention-needed", self.now.setback)
 
     def _longest_stay_s(self) -> float | None:
@@ -215,10 +215,11 @@ class Mission:
             if estimate.accepted:
                 self.now.setback = None
                 return Event.LOCATED
-        if self.looking.viewpoints_left:
+        if self.looking.may_look_again(self.now.attempt):
             return Event.NEXT_VIEWPOINT
         reasons = "; ".join(estimate.reasons) if estimate is not None else self.looking.problem
-        self.now.setback = Fault(FaultCode.PORT_NOT_FOUND, reasons)
+        if self.now.setback is None:  # otherwise the failed insertion before is what a person has to know
+            self.now.setback = Fault(FaultCode.PORT_NOT_FOUND, reasons)
         return Event.NOT_LOCATED
 
     def _approaching(self) -> Event:

@@ -259,9 +259,8 @@ class StandInLooking:
         self.problem = ""
         self.cloud: Cloud | None = None
 
-    @property
-    def viewpoints_left(self) -> bool:
-        return self.scans_made < len(self._config.scan.viewpoints)
+    def may_look_again(self, attempt: int) -> bool:
+        return self.scans_made < len(self._config.scan.viewpoints) + attempt - 1
 
     def viewpoint(self):  # type: ignore[no-untyped-def]
         from controller.planning import Viewpoint

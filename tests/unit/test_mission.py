@@ -77,6 +77,15 @@ def test_a_blocked_port_is_tried_to_the_last_rung_then_a_person_is_asked_for(tmp
     assert all(i.contact.along_m == pytest.approx(MATED_DEPTH_M - 0.008, abs=1e-5) for i in rig.watch.insertions)
 
 
+def test_a_blocked_port_that_is_not_found_again_is_still_called_blocked(tmp_path: Path) -> None:
+    rig = Rig(tmp_path, accepted=[True, False])
+    rig.arm.stop_depth_m = 0.008
+    outcome = rig.run()
+    assert outcome.kind == "intervention-needed" and outcome.fault is not None
+    assert outcome.fault.code is FaultCode.INSERTION_BLOCKED
+    assert rig.watch.states.count("INSERTING") == 1
+
+
 def test_a_plug_that_the_charger_does_not_lock_is_not_mated(tmp_path: Path) -> None:
     rig = Rig(tmp_path)
     rig.charger.lock_jams = True
