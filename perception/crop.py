@@ -20,6 +20,8 @@ from perception.port_model import PortModel
 from perception.scan import Cloud
 
 THIN_M = 0.0012
+BEFORE_M = 0.1
+"""How far before the port the scan is kept: a plug's handle tells an occupied inlet from a hidden one."""
 NEIGHBOURS = 20
 _DENSITY_CELL_M = 0.0025
 _STRAY_SHARE = 0.15
@@ -68,7 +70,7 @@ def _inside(points: Array, model: PortModel, prior: Prior) -> NDArray[np.bool_]:
     swing_xy = radius * np.sin(prior.roll_rad) * 0.6
     swing_z = radius * np.sin(prior.tilt_rad)
     side = prior.lateral_m + swing_xy + 0.004
-    z_low, z_high = low[2] - prior.along_m - swing_z - 0.004, high[2] + prior.along_m + swing_z + 0.004
+    z_low, z_high = low[2] - prior.along_m - swing_z - 0.004, high[2] + prior.along_m + swing_z + BEFORE_M
     return np.asarray(
         (points[:, 0] > low[0] - side)
         & (points[:, 0] < high[0] + side)

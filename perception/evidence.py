@@ -18,6 +18,8 @@ from perception.port_model import PortModel
 VOTE_CELL_M = 0.0015
 ABOVE_RIM_M = 0.003
 """Points higher than this over the rim plane are things in the way, and say nothing about the port."""
+BLOCKS_M = 0.12
+"""Within this height over the rim plane a thing before the inlet may be a plug."""
 _ROLL_STEP_DEG = 4.0
 _ROLL_FROM_DEG = 12.0
 
@@ -40,6 +42,10 @@ class Evidence:
     """Those with agreeing points."""
     features_denied: int
     """Those with points that contradict them."""
+    inner: float
+    """Share of the inlet within the rim where points agree."""
+    blocked: float
+    """Share of the inlet within the rim before which something else lies."""
     roll_for: int
     """Points that decide between this roll and its strongest rival, and speak for this one."""
     roll_against: int
@@ -75,6 +81,7 @@ def judge(pose: Pose, scene: Scene, model: PortModel, noise_m: float) -> Evidenc
     tolerance = max(TOLERANCE_M, 3.5 * noise_m)
     local = pose.inverse().apply(scene.points)
     misfit = front.misfit(local)
+    inner, blocked = _inner(front, local, misfit, tolerance)
     known = ~np.isnan(misfit) & (local[:, 2] < ABOVE_RIM_M)
     local, misfit = local[known], misfit[known]
     i, j, _ = front.cells(local)
@@ -94,6 +101,8 @@ def judge(pose: Pose, scene: Scene, model: PortModel, noise_m: float) -> Evidenc
         front.features,
         seen,
         denied,
+        inner,
+        blocked,
         roll_for,
         roll_against,
         rival,
@@ -104,6 +113,18 @@ def _votes(counts: list[NDArray[np.int64]]) -> tuple[NDArray[np.bool_], NDArray[
     agree, behind, before = counts
     good = (agree >= behind + before) & (agree > 0)
     return good, ~good & (behind >= before) & (behind >= 2), ~good & (before > behind) & (before >= 2)
+
+
+def _inner(front: FrontMap, local: Array, misfit: Array, tolerance: float) -> tuple[float, float]:
+    """Shares of the inlet within the rim that points confirm, and before which other points lie at any height."""
+    i, j, _ = front.cells(local)
+    within = front.inner[i, j] & ~np.isnan(misfit) & (local[:, 2] < BLOCKS_M)
+    cell = np.unique((i[within] // 3) * 100_000 + j[within] // 3, return_inverse=True)[1].reshape(-1)
+    agree = np.bincount(cell, np.abs(misfit[within]) < tolerance)
+    before = np.bincount(cell, misfit[within] >= tolerance)
+    x, y = np.nonzero(front.inner)
+    whole = max(len(np.unique((x // 3) * 100_000 + y // 3)), 1)
+    return float((agree > before).sum()) / whole, float(((before >= agree) & (before >= 2)).sum()) / whole
 
 
 def _features(

@@ -11,12 +11,13 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import binary_erosion, label, maximum_filter, minimum_filter
+from scipy.ndimage import binary_closing, binary_erosion, binary_fill_holes, label, maximum_filter, minimum_filter
 
 from perception.geometry import Array
 
 CELL_M = 0.0005
 TOLERANCE_M = 0.001
+_CORE_CELLS = 14
 _FEATURE_AREA_M2 = (4e-6, 4e-4)
 _ROLLS_RAD = np.deg2rad(np.arange(12.0, 349.0, 12.0))
 
@@ -37,6 +38,8 @@ class FrontMap:
     """0 where any roll would show the same height, to 1 where every other roll shows another one."""
     feature: NDArray[np.int16]
     """Number of the contact-sized feature, 0 for none."""
+    inner: NDArray[np.bool_]
+    """Whether the cell is well within the rim: where a plug goes."""
 
     @property
     def features(self) -> int:
@@ -79,9 +82,14 @@ def build_front_map(points: Array) -> FrontMap:
         highest.astype(np.float32),
         np.zeros(shape, np.float32),
         np.zeros(shape, np.int16),
+        np.zeros(shape, np.bool_),
     )
     middle = np.where(known, filled, np.nan)
-    return FrontMap(low, plain.lowest, plain.highest, _distinct(plain, middle), _features(middle, points))
+    rim = known & (filled > -TOLERANCE_M)
+    # The rim may have a gap (a latch's): close it before asking what it encloses.
+    closed = binary_closing(np.pad(rim, 20), np.ones((17, 17)))[20:-20, 20:-20]
+    inner = binary_erosion(np.pad(binary_fill_holes(closed), 1), iterations=_CORE_CELLS)[1:-1, 1:-1] & known
+    return FrontMap(low, plain.lowest, plain.highest, _distinct(plain, middle), _features(middle), inner)
 
 
 def _distinct(plain: FrontMap, height: Array) -> Map:
@@ -102,7 +110,7 @@ def rolled(local: Array, roll_rad: float) -> Array:
     return np.column_stack([c * local[:, 0] + s * local[:, 1], -s * local[:, 0] + c * local[:, 1], local[:, 2]])
 
 
-def _features(height: Array, points: Array) -> NDArray[np.int16]:
+def _features(height: Array) -> NDArray[np.int16]:
     """Connected patches of one height that have the size of a contact, a well or a key."""
     step = np.round(np.nan_to_num(height, nan=9.0) / TOLERANCE_M).astype(np.int64)
     feature = np.zeros(height.shape, np.int16)

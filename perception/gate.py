@@ -16,6 +16,7 @@ MAX_VIOLATION = 0.25
 MIN_MARGIN = 0.10
 MIN_FEATURES = 2
 MAX_DENIED = 0.25
+MIN_INNER = 0.06
 MIN_ROLL_VOTES = 6
 MIN_ROLL_MARGIN = 0.4
 _PRIOR_SLACK_M = 0.006
@@ -103,6 +104,11 @@ def _unsupported(findings: Findings) -> list[str]:
         found.append(f"only {e.features_seen} of {e.features} contacts and wells are seen where they should be")
     if e.features_denied > MAX_DENIED * (e.features_seen + e.features_denied):
         found.append(f"{e.features_denied} contacts or wells are contradicted, {e.features_seen} are seen")
+    if e.inner < MIN_INNER or e.blocked > e.inner:
+        found.append(
+            f"{e.inner:.0%} of the inlet is seen as it should be and {e.blocked:.0%} has something before it:"
+            " capped, occupied or hidden"
+        )
     if e.roll_for + e.roll_against < MIN_ROLL_VOTES:
         found.append("hardly any point tells this roll from others")
     elif e.roll_margin < MIN_ROLL_MARGIN:

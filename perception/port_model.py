@@ -23,7 +23,7 @@ from perception.surface import Surface, visible_surface
 
 _log = logging.getLogger(__name__)
 
-_VERSION = "9"
+_VERSION = "12"
 """Part of the cache key: raise it when the preparation changes."""
 SPACING_M = 0.0012
 EDGE_SPACING_M = 0.0004
@@ -147,7 +147,8 @@ def _load(path: Path) -> _Prepared | None:
             grid = archive["grid"]
             nearest = NearestField(grid[:3], archive["index"], float(grid[3]), len(surface))
             lowest, highest, distinct = archive["front"]
-            front = FrontMap(archive["front_low"], lowest, highest, distinct, archive["feature"])
+            maps = (lowest, highest, distinct, archive["feature"], archive["inner"])
+            front = FrontMap(archive["front_low"], *maps)
             templates = Templates(archive["rolls"], archive["template_low"], archive["templates"])
             return surface, nearest, front, templates
     except FileNotFoundError:
@@ -172,6 +173,7 @@ def _save(path: Path, surface: Surface, nearest: NearestField, front: FrontMap, 
                 front_low=front.low,
                 front=np.stack([front.lowest, front.highest, front.distinct]),
                 feature=front.feature,
+                inner=front.inner,
                 rolls=templates.rolls,
                 template_low=templates.low,
                 templates=templates.volumes,

@@ -17,6 +17,7 @@ from perception.geometry import Array, Pose
 from perception.matching import Matches, Measured, match, measure
 from perception.nuisance import Rows, columns
 from perception.port_model import PortModel
+from perception.roll import settle_roll
 
 ROUNDS = 16
 FULL_ROUNDS = 2
@@ -35,6 +36,7 @@ _EDGE_NOISE_SIGMAS = 2.5
 _WALL_NOISE_M = 0.0001
 """A wall is seen at grazing angles, through few points and mixed pixels: each of them is this much worse."""
 _EDGE_GATE_M = 0.0010
+_EDGE_LEAD_M = 0.0003
 _EDGES_M = 0.00005
 """All edges together fix the port sideways no better than this: what makes an edge look displaced is common to many."""
 
@@ -81,13 +83,13 @@ def refine(start: Pose, scene: Scene, model: PortModel, *, rounds: int = ROUNDS,
         raise DegenerateCloudError("hardly any scan point lies near the port's surface")
     everything = measure(scene.points[near], scene.origins[near], threads)
     some = everything.every(max(1, len(everything.points) // _SUBSET))
-    pose, scale = start, 0.0005
+    pose, scale = settle_roll(start, some, model, threads), 0.0005
     for round_ in range(rounds):
         current = some if round_ < rounds - FULL_ROUNDS else everything
         gate = _FIRST_GATE_M * _GATE_SHRINK ** max(round_ - _WIDE_ROUNDS, 0)
         matches = match(pose, current, model, threads)
         scale = _robust_scale(matches.distance, previous=scale)
-        equations = _equations(pose, matches, model, scale, gate)
+        equations = _equations(pose, matches, model, scale, gate, settled=round_ > _WIDE_ROUNDS)
         if current is everything:
             equations = _with_nuisance(equations, matches, current, scene, model)
         pose = _moved(pose, _step(equations))
@@ -103,15 +105,22 @@ def _robust_scale(distance: Array, previous: float) -> float:
     return float(np.clip(1.4826 * np.median(close), max(_MIN_SCALE_M, 0.67 * previous), previous))
 
 
-def _equations(pose: Pose, matches: Matches, model: PortModel, scale: float, gate: float) -> Refined:
-    """One row for each point's distance to its surface, and one for each point beyond an edge."""
+def _equations(pose: Pose, matches: Matches, model: PortModel, scale: float, gate: float, *, settled: bool) -> Refined:
+    """One row for each point's distance to its surface, and one for each point beyond an edge.
+
+    Until the pose has ``settled``, edges lead: they see an error of any size, walls only one within the gate.
+    """
     taper = np.clip(model.surface.edge_m[matches.index] / (_EDGE_SIGMAS * scale) - 0.5, 0.0, 1.0)
     wall = 1.0 - np.abs(matches.normal[:, 2])
-    weight = _tukey(matches.distance, max(_TUKEY * scale, gate)) * taper / (scale**2 + (_WALL_NOISE_M * wall) ** 2)
+    wall_noise = _WALL_NOISE_M if settled else _EDGE_LEAD_M
+    weight = _tukey(matches.distance, max(_TUKEY * scale, gate)) * taper / (scale**2 + (wall_noise * wall) ** 2)
     beyond = np.flatnonzero((matches.overhang > 0) & (np.abs(matches.distance) < max(3 * scale, gate)))
-    edge_noise = _EDGE_NOISE_M + _EDGE_NOISE_SIGMAS * scale
-    edge_weight = _tukey(matches.overhang[beyond], _EDGE_GATE_M) / edge_noise**2
-    edge_weight *= min(1.0, _EDGES_M**-2 / max(0.5 * float(edge_weight.sum()), 1e-9))
+    if settled:
+        edge_weight = _tukey(matches.overhang[beyond], _EDGE_GATE_M)
+        edge_weight /= (_EDGE_NOISE_M + _EDGE_NOISE_SIGMAS * scale) ** 2
+        edge_weight *= min(1.0, _EDGES_M**-2 / max(0.5 * float(edge_weight.sum()), 1e-9))
+    else:
+        edge_weight = _tukey(matches.overhang[beyond], 2 * _EDGE_GATE_M) / _EDGE_LEAD_M**2
     planes = np.hstack([matches.normal, np.cross(matches.local, matches.normal)])
     outward = matches.outward[beyond]
     edges = np.hstack([outward, np.cross(matches.local[beyond], outward)])
