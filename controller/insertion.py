@@ -195,7 +195,7 @@ class Trace:
         self._last_state: ArmState | None = None
         self._newest_s = cell.wall.now_s() - 0.05
         self._progress_depth_m = -np.inf
-        self._progress_s = cell.clock.now_s()
+        self._progress_s = -np.inf
 
     def update(self) -> None:
         """Take in all arm states since the last call."""
@@ -205,21 +205,21 @@ class Trace:
         for state in states:
             self._newest_s, self._last_state = state.time_s, state
             self.samples.append(sample(state, self._plan))
-        depth_m = self.samples[-1].depth_m
-        if abs(depth_m - self._progress_depth_m) > PROGRESS_M:
-            self._progress_depth_m, self._progress_s = depth_m, self._cell.clock.now_s()
+        last = self.samples[-1]
+        if abs(last.depth_m - self._progress_depth_m) > PROGRESS_M:
+            self._progress_depth_m, self._progress_s = last.depth_m, last.time_s
 
     def restart_stall_clock(self) -> None:
         """Give a new push its own time to make progress."""
-        self._progress_s = self._cell.clock.now_s()
+        self._progress_s = self.samples[-1].time_s
 
     def stalled(self, after_s: float) -> bool:
         """No progress for ``after_s``."""
-        return self._cell.clock.now_s() - self._progress_s > after_s
+        return self.still_for_s() > after_s
 
     def still_for_s(self) -> float:
-        """How long the depth has not changed."""
-        return self._cell.clock.now_s() - self._progress_s
+        """How long the depth has not changed, by the arm's own clock: samples that are late are no stall."""
+        return self.samples[-1].time_s - self._progress_s
 
     def contact(self) -> Contact:
         """Expected against actual for the newest sample."""

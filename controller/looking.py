@@ -27,6 +27,11 @@ FIRST_PROFILE_S = 5.0
 TRAILING_S = 30.0
 """How long profiles measured before the end of the motion may be on their way (a slow line, a busy host)."""
 
+CLOCK_HISTORY_S = 60.0
+"""Arm samples from before the sweep help to fit the arm's clock: the more, the more prompt ones are among them."""
+MOST_SPOILED = 3
+"""So many sweeps that cannot be used (profiles lost, times uncertain) are repeated from the same viewpoint."""
+
 ProgressReport = Callable[[str, float, str], None]
 
 
@@ -37,7 +42,7 @@ class Looking:
         self._cell = cell
         self._config = config
         self._clouds: list[Cloud] = []
-        self._view = 0
+        self._spoiled = 0
         self.scans_made = 0
         self.problem = ""
         """Why the last scan could not be used; empty if it could."""
@@ -91,8 +96,11 @@ class Looking:
             cell.do(Laser(on=False))
         if cell.arm.motion().failed:
             raise cell.explained(FaultCode.MOTION_FAILED, cell.arm.motion().detail)
-        self.scans_made += 1
-        self._keep(profiles, cell.arm.history(began_s))
+        self._keep(profiles, cell.arm.history(began_s - CLOCK_HISTORY_S))
+        if self.problem and self._spoiled < MOST_SPOILED:
+            self._spoiled += 1  # the viewpoint is not to blame: the same one again
+        else:
+            self.scans_made += 1
 
     def _keep(self, profiles: list[Profile], states: list[ArmState]) -> None:
         scanner = self._config.scanner

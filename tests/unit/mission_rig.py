@@ -85,7 +85,7 @@ class StandInArm:
         now_s = CLOCK.now_s()
         return ArmState(
             time_s=now_s,
-            device_time_s=now_s,
+            device_time_s=now_s * PACE,
             T_base_tcp=self.pose,
             T_flange_tcp=Pose.identity(),
             joints=np.zeros(6),
