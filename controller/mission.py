@@ -61,6 +61,8 @@ class Progress:
     """What a mission has come to so far."""
 
     begun: bool = False
+    reserved: bool = False
+    """The charger has been reserved and its dock unlocked."""
     attempt: int = 1
     estimate: PortEstimate | None = None
     insertion: Insertion | None = None
@@ -189,9 +191,10 @@ class Mission:
 
     def _staging(self) -> Event:
         """Reserve the charger, go to where the next sweep starts."""
-        if self.looking.scans_made == 0:
+        if not self.now.reserved:
             self._must(ChargerRequest.RESERVE)
             self._must(ChargerRequest.UNLOCK_DOCK)
+            self.now.reserved = True
         motion, patience_s = self.config.motion, self.config.deadlines.staging_s
         start = self.looking.viewpoint().T_base_tcp_start
         speed, acceleration = np.deg2rad([motion.joint_speed_deg_s, motion.joint_acceleration_deg_s2])
