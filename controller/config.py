@@ -92,6 +92,9 @@ class ScannerConfig(Section):
     T_flange_scanner: PoseConfig = PoseConfig()
     latency_ms: Annotated[float, Field(ge=0, le=500)] = 0.0
     """Constant delay from the device's time stamp to the measurement, from calibration."""
+    sync: Literal["timestamp", "shared_clock"] = "timestamp"
+    """How profiles find their arm pose. ``timestamp``: both devices' clocks are fitted to the host's. ``shared_clock``:
+    scanner and arm stamp by one clock, so delays on the way do not matter."""
     silence_ms: Annotated[float, Field(ge=50, le=60_000)] = 1000.0
     """With the laser on, a scanner that sends no good profile for so long is lost."""
     max_lost_profiles_percent: Annotated[float, Field(ge=0, le=50)] = 5.0

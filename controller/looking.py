@@ -112,6 +112,7 @@ class Looking:
                 latency_s=self._cell.profile_latency_s,
                 time_scale=self._cell.time_scale,
                 max_lost_share=scanner.max_lost_profiles_percent / 100.0,
+                shared_clock=scanner.sync == "shared_clock",
             )
             self._clouds.append(scan.to_cloud())
             self.problem = ""

@@ -52,7 +52,8 @@ class MockCell:
         try:
             self._start("ur", [*folder, "--host", host, "--rate", str(self._base.arm.frequency_hz)])
             self._start(
-                "scanner", [*folder, "--link", scanner, "--source", "world", "--seed", str(self._seed), *PROFILE_RATE]
+                "scanner",
+                [*folder, "--link", scanner, "--source", "world", "--seed", str(self._seed), *self._scanner_options()],
             )
             self._start("charger", [*folder, "--link", can, "--lost-ms", f"{self._base.charger.lost_ms:g}"])
             for process in self._processes:
@@ -73,6 +74,10 @@ class MockCell:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self._stop()
+
+    def _scanner_options(self) -> list[str]:
+        shared = self._base.scanner.sync == "shared_clock"
+        return [*PROFILE_RATE, "--clock-offset-s", "0" if shared else "100"]
 
     def _world(self) -> WorldSpec:
         config, port = self._base, load_port(self._base.port.model)

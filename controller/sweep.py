@@ -43,6 +43,7 @@ def join(
     arm_latency_s: float = 0.0,
     time_scale: float = 1.0,
     max_lost_share: float = MAX_LOST_SHARE,
+    shared_clock: bool = False,
 ) -> Scan:
     """The scan that profiles and arm samples make together.
 
@@ -52,13 +53,18 @@ def join(
     :param latency_s: least delay from a profile's device time stamp (the middle of its exposure) to its last byte:
         half the exposure, wire time and what calibration found. In the device's seconds
     :param arm_latency_s: the same for an arm sample
+    :param shared_clock: scanner and arm stamp by one clock: no fit over the host's is needed, delays do not matter
     :param time_scale: device seconds per host second: not 1 only where mocks run faster than the wall clock
     :raises SweepError: too few or too many lost profiles, no arm samples, or a clock that jumps
     """
     if len(arm_states) < 2:
         raise SweepError(f"{len(arm_states)} arm samples are too few to place profiles by")
-    kept_arm, arm_s = _arm_times(arm_states, arm_latency_s, 1.0 / time_scale)
-    times_s = _profile_times(profiles, latency_s, 1.0 / time_scale)
+    if shared_clock:
+        kept_arm, arm_s = _growing(arm_states)
+        times_s = _device_times(profiles)
+    else:
+        kept_arm, arm_s = _arm_times(arm_states, arm_latency_s, 1.0 / time_scale)
+        times_s = _profile_times(profiles, latency_s, 1.0 / time_scale)
     inside = (times_s >= arm_s[0]) & (times_s <= arm_s[-1])
     kept = [profile for profile, known in zip(profiles, inside, strict=True) if known]
     _refuse_gaps(kept, len(profiles), max_lost_share)
@@ -82,13 +88,26 @@ def _profile_times(profiles: Sequence[Profile], latency_s: float, rate: float) -
     return _on_host(np.array(device_s), host_s, rate, "scanner") - latency_s * rate
 
 
-def _arm_times(states: Sequence[ArmState], latency_s: float, rate: float) -> tuple[list[ArmState], Array]:
-    """Samples with growing device time, and their host times (N,)."""
+def _device_times(profiles: Sequence[Profile]) -> Array:
+    """The scanner's own times (N,) of exposure. Raises SweepError where it sends none."""
+    device_s = [profile.device_time_s for profile in profiles if profile.device_time_s is not None]
+    if len(device_s) < len(profiles):
+        raise SweepError("the scanner sends no time stamps", remedy="Set scanner.sync: timestamp in the site file.")
+    return np.array(device_s)
+
+
+def _growing(states: Sequence[ArmState]) -> tuple[list[ArmState], Array]:
+    """Samples with growing device time, and those times (N,)."""
     device_s = np.array([state.device_time_s for state in states])
     newer = np.concatenate([[True], device_s[1:] > np.maximum.accumulate(device_s)[:-1]])
-    kept = [state for state, new in zip(states, newer, strict=True) if new]
+    return [state for state, new in zip(states, newer, strict=True) if new], device_s[newer]
+
+
+def _arm_times(states: Sequence[ArmState], latency_s: float, rate: float) -> tuple[list[ArmState], Array]:
+    """Samples with growing device time, and their host times (N,)."""
+    kept, device_s = _growing(states)
     host_s = np.array([state.time_s for state in kept])
-    return kept, _on_host(device_s[newer], host_s, rate, "arm") - latency_s * rate
+    return kept, _on_host(device_s, host_s, rate, "arm") - latency_s * rate
 
 
 def _on_host(device_s: Array, host_s: Array, rate: float, name: str) -> Array:

@@ -38,13 +38,13 @@ def dry_run(
     from controller.mock_cell import MockCell  # devices and reports take seconds to import: other commands need none
     from controller.session import run_session
 
-    site = for_mocks(load_config(config))
+    site = for_mocks(load_config(config), fast)
     world = draw_scenario(scenario, site, load_port(site.port.model), seed)
     folder = run_folder(out, site)
     pace = FAST_FACTOR if fast else 1.0
     with make_display(quiet=as_json) as display, tempfile.TemporaryDirectory(prefix="portdock-") as wires:
         if fast:
-            display.note(f"fast: wires and arm run {pace:g} times as fast; heartbeats and freshness keep wall time")
+            display.note(f"fast: wires and arm run {pace:g} times as fast; heartbeats keep wall time; one device clock")
         with MockCell(Path(wires), site, world, seed, pace) as cell:
             summary = run_session(
                 cell.config,
@@ -93,12 +93,15 @@ def run_folder(out: Path | None, site: SiteConfig) -> Path:
     return folder.resolve()
 
 
-def for_mocks(site: SiteConfig) -> SiteConfig:
-    """The same site with the host's limits widened: a desk machine's scheduler is not the robot's."""
-    changes: dict[str, dict[str, float]] = {
+def for_mocks(site: SiteConfig, fast: bool = False) -> SiteConfig:
+    """The same site with the host's limits widened: a desk machine's scheduler is not the robot's.
+
+    Fast, a millisecond of delay is several of arm motion: there the mocks stamp by one clock.
+    """
+    changes: dict[str, dict[str, float | str]] = {
         "arm": {"freshness_ms": 2000.0, "watchdog_hz": 0.5, "frequency_hz": 125},
         "charger": {"degraded_ms": 1000.0, "lost_ms": 3000.0},
-        "scanner": {"silence_ms": 5000.0},
+        "scanner": {"silence_ms": 5000.0, "sync": "shared_clock" if fast else site.scanner.sync},
         "host": {"stall_ms": 2000.0},
     }
     return site.model_copy(
