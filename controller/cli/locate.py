@@ -2,15 +2,28 @@
 
 from __future__ import annotations
 
+import enum
 import json
 import math
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, cast
 
 import typer
 
+from perception.errors import InputError
 from perception.estimate import PortEstimate, Prior
+from perception.port_model import PortModel
 from perception.scan import Cloud
+
+
+class Method(enum.StrEnum):
+    """How to locate: the default locator, or a profile of the published method."""
+
+    DEFAULT = "default"
+    LITERAL = "literal"
+    FAITHFUL = "faithful"
+    ROBUST = "robust"
 
 
 def locate(
@@ -19,13 +32,15 @@ def locate(
     model_unit: Annotated[str, typer.Option(help="unit of the mesh: m, cm or mm")] = "m",
     scan_unit: Annotated[str, typer.Option(help="unit of the scans: m, cm or mm")] = "m",
     prior: Annotated[Path | None, typer.Option(help="JSON with the key 'prior': 4x4 T_scanner_port in metres")] = None,
+    method: Annotated[Method, typer.Option(help="the default locator, or a profile of the published method")] = (
+        Method.DEFAULT
+    ),
     report: Annotated[Path | None, typer.Option(help="write one HTML page for each scan into this folder")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="one JSON object for each scan")] = False,
 ) -> None:
     """Find the charging port in scans. Exit code 0: all accepted, 1: some refused, 2: bad input."""
     from controller.locate_inputs import read_prior, requested_models
     from perception.cloud_io import read_cloud
-    from perception.locate import locate as run
 
     # Everything is read before anything is computed or written: bad input leaves nothing half done.
     expected = None if prior is None else read_prior(prior)
@@ -33,13 +48,26 @@ def locate(
     clouds = [read_cloud(scan, scan_unit) for scan in scans]
     refused = False
     for scan, cloud in zip(scans, clouds, strict=True):
-        estimate = run(cloud, models[0] if len(models) == 1 else models, expected)
+        estimate = _located(cloud, models, expected, method)
         refused |= not estimate.accepted
         typer.echo(json.dumps(as_record(scan, estimate)) if as_json else as_text(scan, estimate))
         if report is not None:
             _write_report(report, scan, cloud, estimate, expected, {one.name: one for one in models}[estimate.port])
     if refused:
         raise typer.Exit(1)
+
+
+def _located(cloud: Cloud, models: Sequence[PortModel], prior: Prior | None, method: Method) -> PortEstimate:
+    from perception.locate import locate as run
+
+    if method is Method.DEFAULT:
+        return run(cloud, models[0] if len(models) == 1 else models, prior)
+    if len(models) > 1:
+        raise InputError("the published method takes one model", remedy="Name one port with --model.")
+    from perception.published.pipeline import locate_published
+    from perception.published.profiles import ProfileName
+
+    return locate_published(cloud, models[0], prior, cast(ProfileName, method.value))
 
 
 def as_record(scan: Path, estimate: PortEstimate) -> dict[str, object]:
@@ -52,7 +80,7 @@ def as_record(scan: Path, estimate: PortEstimate) -> dict[str, object]:
         "ok": estimate.accepted,
         "verdict": estimate.verdict,
         "reasons": list(estimate.reasons),
-        "covariance": estimate.covariance.tolist(),
+        "covariance": [[v if math.isfinite(v) else None for v in row] for row in estimate.covariance.tolist()],
         "rms_residual_mm": rms * 1e3 if math.isfinite(rms) else None,
         "inlier_ratio": estimate.inlier_ratio,
         "runner_up_margin": estimate.runner_up_margin,
@@ -78,10 +106,8 @@ def as_text(scan: Path, estimate: PortEstimate) -> str:
 
 
 def _write_report(
-    folder: Path, scan: Path, cloud: Cloud, estimate: PortEstimate, prior: Prior | None, model: object
+    folder: Path, scan: Path, cloud: Cloud, estimate: PortEstimate, prior: Prior | None, model: PortModel
 ) -> None:
     from controller.reports.locate import write_report
-    from perception.port_model import PortModel
 
-    assert isinstance(model, PortModel)
     write_report(folder / f"{scan.stem}.html", scan.name, cloud, model, estimate, prior)

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from controller.cli import charger, config, dry_run, evaluate, locate, mock, recording, scanner, states
+from controller.cli import charger, config, dry_run, evaluate, locate, merge, mock, recording, scanner, states
 from controller.config import ConfigError
 from controller.faults import MissionFault
 from drivers.base import DriverError
@@ -31,6 +31,7 @@ app = typer.Typer(
 app.command("dry-run")(dry_run.dry_run)
 app.command("run")(dry_run.run)
 app.command("locate")(locate.locate)
+app.command("merge")(merge.merge)
 app.command("states")(states.states)
 app.add_typer(config.app, name="config")
 app.add_typer(mock.app, name="mock")
