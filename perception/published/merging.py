@@ -17,17 +17,21 @@ from scipy.spatial.transform import Rotation
 from perception.errors import DegenerateCloudError, InputError
 from perception.geometry import Array, Pose
 from perception.published import clouds
-from perception.published.dense import subset
+from perception.published.dense import refine, subset
 from perception.published.features import normals
 from perception.published.kdtree import AdaptiveKDTree
 from perception.published.pipeline import register
 from perception.published.profiles import ROBUST
-from perception.published.target import prepare_target
+from perception.published.registration import trimmed_distance
+from perception.published.target import PreparedTarget, prepare_target
 
 _SETTINGS = replace(ROBUST, ranked_share=0.9)
 """Views differ less than scan and cut scan do: with a smaller share, a view slid along the panel ranks as high."""
-_SHIFTS_MM = ((0.0, 0.0, 0.0), (0.0, 20.0, 0.0), (0.0, -20.0, 0.0), (20.0, 0.0, 0.0), (-20.0, 0.0, 0.0))
-"""Starts beside the neighbour's pose: a view that sees other walls has its middle elsewhere."""
+_SHIFTS_MM = (0.0, -8.0, 8.0, -16.0, 16.0, -24.0, 24.0)
+"""Along each of the two directions in which a mostly flat view slides: shadows' edges, which differ from view to view,
+can pull keypoints that far."""
+_SHIFT_POINTS = 600
+_SHIFT_GATES_MM = (6.0, 3.0, 1.5)
 _GATES_MM = (3.0, 2.0, 1.5, 1.5, 1.0, 1.0, 1.0, 1.0)
 _JOINT_POINTS = 1500
 _NORMAL_NEIGHBOURS = 16
@@ -78,12 +82,26 @@ def _one_after_another(views: Sequence[Array]) -> tuple[Pose, ...]:
     together = views[0]
     for view in views[1:]:
         target = prepare_target(together, _SETTINGS)
-        starts = [Pose(np.eye(3), np.array(shift)) for shift in _SHIFTS_MM]
-        found = [register(view, target, _SETTINGS, start=start) for start in (*starts, poses[-1])]
-        pose = min(found, key=lambda one: one.score_mm2).T_target_test
+        pose = _unslid(view, target, register(view, target, _SETTINGS).T_target_test)
         poses.append(pose)
         together = np.concatenate([together, pose.apply(view)])
     return tuple(poses)
+
+
+def _unslid(view: Array, target: PreparedTarget, found: Pose) -> Pose:
+    """The best of the pose found and of its neighbours along the surface, each refined point-to-plane."""
+    points = subset(view, _SHIFT_POINTS)
+    flat = np.linalg.svd(target.points - target.points.mean(axis=0), full_matrices=False)[2][:2]
+    surface = target.points, target.normals, target.tree
+    best, best_score = found, trimmed_distance(points, target.tree, found, _SETTINGS.ranked_share)
+    for u in _SHIFTS_MM:
+        for v in _SHIFTS_MM:
+            beside = Pose(found.rotation, found.translation + np.array([u, v]) @ flat)
+            pose = refine(points, *surface, beside, _SHIFT_GATES_MM)
+            score = trimmed_distance(points, target.tree, pose, _SETTINGS.ranked_share)
+            if score < best_score:
+                best, best_score = pose, score
+    return best
 
 
 def _jointly(views: Sequence[Array], start: tuple[Pose, ...]) -> tuple[Pose, ...]:
