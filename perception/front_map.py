@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import binary_closing, binary_erosion, binary_fill_holes, label, maximum_filter, minimum_filter
+from scipy.ndimage import binary_erosion, label, maximum_filter, minimum_filter
 
 from perception.geometry import Array
 
@@ -86,10 +86,16 @@ def build_front_map(points: Array) -> FrontMap:
     )
     middle = np.where(known, filled, np.nan)
     rim = known & (filled > -TOLERANCE_M)
-    # The rim may have a gap (a latch's): close it before asking what it encloses.
-    closed = binary_closing(np.pad(rim, 20), np.ones((17, 17)))[20:-20, 20:-20]
-    inner = binary_erosion(np.pad(binary_fill_holes(closed), 1), iterations=_CORE_CELLS)[1:-1, 1:-1] & known
+    inner = binary_erosion(np.pad(_enclosed(rim), 1), iterations=_CORE_CELLS)[1:-1, 1:-1] & known
     return FrontMap(low, plain.lowest, plain.highest, _distinct(plain, middle), _features(middle), inner)
+
+
+def _enclosed(rim: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Cells with rim on at least three of their four sides, or under them: a rim may have a gap for a latch."""
+    left, right = np.maximum.accumulate(rim, 0), np.maximum.accumulate(rim[::-1], 0)[::-1]
+    below, above = np.maximum.accumulate(rim, 1), np.maximum.accumulate(rim[:, ::-1], 1)[:, ::-1]
+    sides = left.astype(np.int64) + right + below + above
+    return np.asarray(rim | (sides >= 3))
 
 
 def _distinct(plain: FrontMap, height: Array) -> Map:

@@ -12,22 +12,34 @@ from perception.geometry import Array, Pose
 from perception.matching import Measured, match
 from perception.port_model import PortModel
 
-_OFFSETS_RAD = np.deg2rad([-4.0, -3.0, -2.0, -1.0, 0.0, 1.0, 2.0, 3.0, 4.0])
+_COARSE_RAD = np.deg2rad([-9.0, -6.0, -3.0, 0.0, 3.0, 6.0, 9.0])
+_FINE_RAD = np.deg2rad(np.arange(-3.0, 3.01, 0.75))
 _CAP_M = 0.0015
-_POINTS = 2500
+_POINTS = 2000
 
 
 def settle_roll(start: Pose, measured: Measured, model: PortModel, threads: int) -> Pose:
-    """``start`` (T_prior_port) rolled to where the cost is least, between the tried rolls by a parabola."""
+    """``start`` (T_prior_port) rolled to where the cost is least."""
     some = measured.every(max(1, len(measured.points) // _POINTS))
-    poses = [start @ Pose.from_rotvec([0.0, 0.0, offset]) for offset in _OFFSETS_RAD]
-    costs = np.array([_cost(pose, some, model, threads) for pose in poses])
-    best = int(np.clip(costs.argmin(), 1, len(costs) - 2))
+    for offsets in (_COARSE_RAD, _FINE_RAD):
+        costs = np.array([_cost(_rolled(start, offset), some, model, threads) for offset in offsets])
+        start = _rolled(start, _least(offsets, costs))
+    return start
+
+
+def _rolled(pose: Pose, offset_rad: float) -> Pose:
+    return pose @ Pose.from_rotvec([0.0, 0.0, offset_rad])
+
+
+def _least(offsets: Array, costs: Array) -> float:
+    """Where the cost is least: the best offset, moved to the vertex of the parabola through it and its neighbours."""
+    best = int(costs.argmin())
+    if best in (0, len(costs) - 1):
+        return float(offsets[best])
     before, at, after = costs[best - 1 : best + 2]
     curve = before - 2.0 * at + after
     shift = 0.5 * (before - after) / curve if curve > 0 else 0.0
-    step = float(_OFFSETS_RAD[1] - _OFFSETS_RAD[0])
-    return start @ Pose.from_rotvec([0.0, 0.0, float(_OFFSETS_RAD[best] + np.clip(shift, -1.0, 1.0) * step)])
+    return float(offsets[best] + shift * (offsets[1] - offsets[0]))
 
 
 def _cost(pose: Pose, measured: Measured, model: PortModel, threads: int) -> float:
