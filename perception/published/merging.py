@@ -30,6 +30,7 @@ _SETTINGS = replace(ROBUST, ranked_share=0.9)
 _SHIFTS_MM = (0.0, -8.0, 8.0, -16.0, 16.0, -24.0, 24.0)
 """Along each of the two directions in which a mostly flat view slides: shadows' edges, which differ from view to view,
 can pull keypoints that far."""
+_CLEARLY = 0.7
 _SHIFT_POINTS = 600
 _SHIFT_GATES_MM = (6.0, 3.0, 1.5)
 _GATES_MM = (3.0, 2.0, 1.5, 1.5, 1.0, 1.0, 1.0, 1.0)
@@ -99,7 +100,7 @@ def _unslid(view: Array, target: PreparedTarget, found: Pose) -> Pose:
             beside = Pose(found.rotation, found.translation + np.array([u, v]) @ flat)
             pose = refine(points, *surface, beside, _SHIFT_GATES_MM)
             score = trimmed_distance(points, target.tree, pose, _SETTINGS.ranked_share)
-            if score < best_score:
+            if score < _CLEARLY * best_score:  # a view that overlaps in part scores a little lower beside the truth
                 best, best_score = pose, score
     return best
 

@@ -148,7 +148,7 @@ def test_views_are_merged_in_the_first_ones_frame():
     views = []
     for k, pose in enumerate(turns):
         points = inlet(rng, 3000)
-        points = points[points[:, 0] * (-1) ** k < 25]  # each lacks another side
+        points = points[points[:, 0] * (-1) ** k < 34]  # each lacks another side
         views.append(pose.apply(points + rng.normal(0, 0.05, points.shape)))
     merged = merge_views(views)
     for pose, found in zip(turns, merged.T_first_view, strict=True):
