@@ -1,7 +1,8 @@
 """What all tests share: those over real wires get a second and a third try.
 
 They run real processes against real time-outs; on a shared machine a stall of a second is no defect. A test that fails
-three times in a row fails. Pure tests get no second try.
+three times in a row fails. Pure tests get no second try. Hypothesis draws the same examples each time, so that a change
+is judged by itself.
 """
 
 from __future__ import annotations
@@ -9,6 +10,10 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+from hypothesis import settings
+
+settings.register_profile("portdock", derandomize=True, deadline=None)
+settings.load_profile("portdock")
 
 HERE = Path(__file__).parent
 OVER_WIRES = ("contract", "faults", "system")

@@ -31,7 +31,7 @@ def brute_segment(p1, q1, p2, q2) -> float:
 def test_segment_distance_is_the_smallest_between_any_two_points(p1, q1, p2, q2) -> None:
     exact = float(segment_distance(p1, q1, p2, q2))
     sampled = brute_segment(p1, q1, p2, q2)
-    assert exact <= sampled + 1e-9
+    assert exact <= sampled + 1e-7
     assert sampled - exact < 0.02  # the sampling's own coarseness
 
 
