@@ -168,12 +168,9 @@ class MissionConfig(Section):
     """Attempts and what a mission waits for."""
 
     max_attempts: Annotated[int, Field(ge=1, le=5)] = 3
-    on_final_failure: Literal["retreat", "hold"] = "retreat"
     charge_s: Annotated[float, Field(ge=0, le=1_000_000)] = 5.0
     """How long current must flow before the mission counts as charged and, in a dry run, ends."""
     min_charge_current_a: Annotated[float, Field(gt=0, le=500)] = 2.0
-    max_uncertainty_mm: Annotated[float, Field(gt=0, le=5)] = 0.5
-    """Largest predicted standard deviation of the port's position that may become a plan."""
 
 
 class DeadlinesConfig(Section):
