@@ -104,6 +104,7 @@ METHODS: tuple[Method, ...] = (
     Method("faithful", "faithful: the published method as read", "one start", published(FAITHFUL)),
     Method("robust-1", "robust, one start", "one start", published(replace(ROBUST, many_starts=False), rounds=1)),
     Method("b1", "baseline 1 (both its poses)", "one start", _baseline1(many_starts=False)),
+    Method("literal-28", "literal", "28 starts", published(replace(LITERAL, many_starts=True)), when="starts"),
     Method("faithful-28", "faithful", "28 starts", published(replace(FAITHFUL, many_starts=True)), when="starts"),
     Method("robust", "robust", "28 starts", published(ROBUST, rounds=1)),
     Method("b1-28", "baseline 1", "28 starts", _baseline1(many_starts=True), when="starts"),

@@ -6,10 +6,13 @@ changes a result (times apart).
 
 from __future__ import annotations
 
+import ctypes
 import json
 import logging
 import multiprocessing
 import os
+import signal
+import sys
 from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass, replace
@@ -18,6 +21,7 @@ from pathlib import Path
 from perception.errors import InputError
 from perception.evaluation import records
 from perception.evaluation.merge_run import run_merge_trial
+from perception.evaluation.methods import chosen, method
 from perception.evaluation.records import MergeRecord, Record, SplitRecord, TrialRecord
 from perception.evaluation.trial_run import Bench, make_bench, run_split_control, run_trial
 from perception.evaluation.trials import ALL_CONDITIONS, COMPLETE, Condition
@@ -27,6 +31,8 @@ _log = logging.getLogger(__name__)
 
 RESULTS = "results.jsonl"
 _PLAN = "plan.json"
+_PR_SET_PDEATHSIG = 1
+"""prctl(2): the signal that a process gets when its parent ends."""
 _QUICK_INTEGRITIES = (1.00, 0.80, 0.65)
 _QUICK_TRIALS, _QUICK_ROUNDS, _QUICK_MERGES = 6, 4, 2
 Progress = Callable[[int, int], None]
@@ -47,10 +53,18 @@ class Plan:
 
 
 @dataclass(frozen=True, slots=True)
+class _Cell:
+    """What is run of one condition in one trial."""
+
+    condition: Condition
+    methods: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
 class _Task:
     """All that one process does in one go: the conditions that share a trial's vehicle."""
 
-    conditions: tuple[Condition, ...]
+    cells: tuple[_Cell, ...]
     number: int
     seed: int
     splits: bool = False
@@ -67,7 +81,11 @@ def full_plan(ports: tuple[PortShape, PortShape], seed: int, trials: int) -> Pla
 def quick_plan(ports: tuple[PortShape, PortShape], seed: int) -> Plan:
     """A look at every figure within three minutes: few trials and rounds, three integrities, no controls."""
     conditions = tuple(
-        replace(c, rounds=min(c.rounds, _QUICK_ROUNDS), runs=("always", "yardsticks") if c == COMPLETE else ("always",))
+        replace(
+            c,
+            rounds=min(c.rounds, _QUICK_ROUNDS),
+            runs=("always", "yardsticks", "starts") if c == COMPLETE else ("always",),
+        )
         for c in ALL_CONDITIONS
         if c.integrity in _QUICK_INTEGRITIES
     )
@@ -87,46 +105,71 @@ def run(plan: Plan, out: Path, jobs: int, progress: Progress) -> list[Record]:
         os.environ[name] = "1"  # one core for each process, so that milliseconds are those of one core
     context = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(jobs, context, _start_worker, (plan.ports,)) as pool:
-        for future in as_completed([pool.submit(_work, task) for task in tasks]):
-            finished, found = future.result()
-            records.append(path, found)
-            done += finished
-            progress(done, total)
+        try:
+            for future in as_completed([pool.submit(_work, task) for task in tasks]):
+                finished, found = future.result()
+                records.append(path, found)
+                done += finished
+                progress(done, total)
+        except BaseException:
+            _abandon(pool)  # leaving the block would wait for every task
+            raise
     return _sorted(plan, records.read(path))
+
+
+def _abandon(pool: ProcessPoolExecutor) -> None:
+    """Ends an interrupted run at once: what was finished is on disk."""
+    pool.shutdown(wait=False, cancel_futures=True)
+    for worker in multiprocessing.active_children():
+        worker.terminate()
 
 
 def _weight(task: _Task) -> int:
     """What a task counts in the progress."""
-    return len(task.conditions) + int(task.merge)
+    return sum(len(cell.methods) for cell in task.cells) + int(task.merge)
 
 
 def _all_tasks(plan: Plan) -> list[_Task]:
     """Trial by trial, so that a run that is stopped early has about as many trials in every cell."""
-    groups: dict[tuple[object, ...], list[Condition]] = {}
+    groups: dict[tuple[object, ...], list[_Cell]] = {}
     for condition in plan.conditions:
         same_scan = condition.noise_mm, condition.outliers, condition.single_view, condition.second_port
-        groups.setdefault(same_scan, []).append(condition)
-    return [
-        _Task(tuple(group), number, plan.seed, splits=COMPLETE.name in {c.name for c in group})
-        for number in range(plan.trials)
-        for group in groups.values()
-    ] + [_Task((), number, plan.seed, merge=True) for number in range(plan.merges)]
+        cell = _Cell(condition, tuple(entry.name for entry in chosen(condition)))
+        groups.setdefault(same_scan, []).append(cell)
+    tasks = []
+    for number in range(max(plan.trials, plan.merges)):
+        for group in groups.values() if number < plan.trials else ():
+            whole = COMPLETE.name in {cell.condition.name for cell in group}
+            tasks.append(_Task(tuple(group), number, plan.seed, splits=whole))
+        if number < plan.merges:
+            tasks.append(_Task((), number, plan.seed, merge=True))
+    return tasks
 
 
 def _missing(plan: Plan, known: list[Record]) -> list[_Task]:
-    have = {(r.condition, r.trial) for r in known if isinstance(r, TrialRecord)}
+    have = {(r.condition, r.trial, r.method) for r in known if isinstance(r, TrialRecord)}
     split = {r.trial for r in known if isinstance(r, SplitRecord)}
     merged = {r.trial for r in known if isinstance(r, MergeRecord)}
     tasks = [
         replace(
             task,
-            conditions=tuple(c for c in task.conditions if (c.name, task.number) not in have),
+            cells=_left(task, have),
             splits=task.splits and task.number not in split,
             merge=task.merge and task.number not in merged,
         )
         for task in _all_tasks(plan)
     ]
-    return [task for task in tasks if task.conditions or task.splits or task.merge]
+    return [task for task in tasks if task.cells or task.splits or task.merge]
+
+
+def _left(task: _Task, have: set[tuple[str, int, str]]) -> tuple[_Cell, ...]:
+    """The cells of a task without the methods whose result is known."""
+    left = []
+    for cell in task.cells:
+        methods = tuple(m for m in cell.methods if (cell.condition.name, task.number, m) not in have)
+        if methods:
+            left.append(replace(cell, methods=methods))
+    return tuple(left)
 
 
 def _sorted(plan: Plan, found: list[Record]) -> list[Record]:
@@ -146,7 +189,7 @@ def _key(record: Record) -> tuple[str, ...]:
 
 
 def _check_plan(plan: Plan, path: Path) -> None:
-    names = sorted(f"{c.name}, {c.rounds} rounds, {'+'.join(c.runs)}" for c in plan.conditions)
+    names = sorted(f"{c.name}, {c.rounds} rounds" for c in plan.conditions)
     text = json.dumps({"seed": plan.seed, "conditions": names, "ports": [p.name for p in plan.ports]}, indent=1)
     if not path.exists():
         path.write_text(text + "\n", "utf-8")
@@ -163,8 +206,16 @@ _ports: list[PortShape] = []
 
 
 def _start_worker(ports: tuple[PortShape, PortShape]) -> None:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the whole group; the run itself ends its workers
+    _end_with_parent()
     _ports[:] = ports
     logging.getLogger("perception.published.pipeline").setLevel(logging.ERROR)  # (18) collapses in every trial
+
+
+def _end_with_parent() -> None:
+    """A run that is killed outright must not leave workers behind that wait for tasks forever (Linux only)."""
+    if sys.platform == "linux":
+        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
 
 
 def _bench(second: bool) -> Bench:
@@ -175,8 +226,9 @@ def _bench(second: bool) -> Bench:
 
 def _work(task: _Task) -> tuple[int, list[Record]]:
     found: list[Record] = []
-    for condition in task.conditions:
-        found += run_trial(_bench(condition.second_port), condition, task.seed, task.number)
+    for cell in task.cells:
+        bench, methods = _bench(cell.condition.second_port), [method(name) for name in cell.methods]
+        found += run_trial(bench, cell.condition, methods, task.seed, task.number)
     if task.splits:
         found += run_split_control(_bench(False), COMPLETE, task.seed, task.number)
     if task.merge:

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 from time import perf_counter
 
 import numpy as np
 
-from perception.evaluation.methods import CONTROL_ROUNDS, METHODS, Method, chosen
+from perception.evaluation.methods import CONTROL_ROUNDS, Method
 from perception.evaluation.metrics import Occupancy, angle_deg, centre_error_mm, common_loss
 from perception.evaluation.outcomes import Iterate, Outcome, Problem, Solver
 from perception.evaluation.records import RoundRecord, SplitRecord, TrialRecord
@@ -26,32 +27,37 @@ _NOMINAL_SPACING_MM = 1.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Bench:
-    """One port's target with every method prepared for it."""
+    """One port's target with the methods prepared for it: each when it is first asked for, once for a process."""
 
     shape: PortShape
     target: Array
-    solvers: tuple[tuple[Method, Solver], ...]
     reference: Array
     centre: Array
+    _solvers: dict[str, Solver] = field(default_factory=dict)
+
+    def solver(self, method: Method) -> Solver:
+        """The method, prepared for the target."""
+        if method.name not in self._solvers:
+            self._solvers[method.name] = method.build(self.target)
+        return self._solvers[method.name]
 
 
 def make_bench(shape: PortShape) -> Bench:
-    """Prepares the target and all methods: once for a process."""
-    target = make_target(shape)
-    solvers = tuple((method, method.build(target)) for method in METHODS)
-    return Bench(shape, target, solvers, reference_points(shape), port_centre(shape))
+    """Prepares the target."""
+    return Bench(shape, make_target(shape), reference_points(shape), port_centre(shape))
 
 
-def run_trial(bench: Bench, condition: Condition, seed: int, number: int) -> list[TrialRecord]:
-    """Every method that the condition asks for on one scan."""
+def run_trial(
+    bench: Bench, condition: Condition, methods: Sequence[Method], seed: int, number: int
+) -> list[TrialRecord]:
+    """These methods on one scan. What a method answers does not depend on which others are run."""
     trial = make_trial(bench.shape, condition, seed, number)
     own_seed = int(np.random.default_rng([seed, number, 3]).integers(2**31))
     found = []
-    for method, solver in bench.solvers:
-        if method in chosen(condition):
-            rounds = min(condition.rounds, CONTROL_ROUNDS) if method.group == "control" else condition.rounds
-            outcome = solver(Problem(trial.test, rounds, own_seed))
-            found.append(_judged(bench, condition, number, method, outcome, trial))
+    for method in methods:
+        rounds = min(condition.rounds, CONTROL_ROUNDS) if method.group == "control" else condition.rounds
+        outcome = bench.solver(method)(Problem(trial.test, rounds, own_seed))
+        found.append(_judged(bench, condition, number, method, outcome, trial))
     return found
 
 

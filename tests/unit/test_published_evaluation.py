@@ -1,6 +1,7 @@
 """The evaluation: its trials, its baselines, and a runner that can be stopped and taken up again."""
 
 import itertools
+import json
 
 import numpy as np
 import pytest
@@ -66,10 +67,13 @@ def test_every_baseline_recovers_five_degrees_without_noise(target, build):
     assert len(outcome) in (1, 6)
 
 
-def test_every_condition_runs_the_profiles_and_both_baselines():
+def test_every_condition_runs_all_profiles_and_baselines_from_the_same_starts():
+    local = {"literal": "literal-28", "faithful": "faithful-28", "robust-1": "robust", "b1": "b1-28"}
     for condition in ALL_CONDITIONS:
-        names = {method.name for method in chosen(condition)}
-        assert {"literal", "faithful", "robust", "b1", "b2"} <= names
+        groups = {method.name: method.group for method in chosen(condition)}
+        assert {name for name, group in groups.items() if group == "one start"} == set(local)
+        assert {name for name, group in groups.items() if group == "28 starts"} == set(local.values())
+        assert {name for name, group in groups.items() if group == "global"} == {"b2", "o3d-ransac-icp", "o3d-fgr-icp"}
     complete = {method.name for method in chosen(COMPLETE)}
     assert complete == {method.name for method in METHODS}
 
@@ -81,14 +85,15 @@ def test_a_stopped_run_is_taken_up_where_it_stopped(shape, tmp_path, monkeypatch
     def work(task):
         calls.append(task)
         found = [
-            TrialRecord(c.name, task.number, "b1", (), (), (), *[0.5] * 6)  # what matters here is that it is there
-            for c in task.conditions
+            TrialRecord(c.condition.name, task.number, m, (), (), (), *[0.5] * 6)  # what matters is that it is there
+            for c in task.cells
+            for m in c.methods
         ]
         if task.splits:
             found.append(SplitRecord(task.number, "std", 1, 1.0, True, True, 1.0, 1.0))
         if task.merge:
             return 1, [runner.MergeRecord(task.number, 1, "joint", 0.1, 0.1)]
-        return len(task.conditions), found
+        return sum(len(c.methods) for c in task.cells), found
 
     class Here:
         def __init__(self, *_args):
@@ -114,11 +119,16 @@ def test_a_stopped_run_is_taken_up_where_it_stopped(shape, tmp_path, monkeypatch
     assert seen[-1][0] == seen[-1][1]
     assert [done for done, _ in seen] == sorted(done for done, _ in seen)
     all_tasks = len(calls)
+    asked = [(c.condition.name, task.number, m) for task in calls for c in task.cells for m in c.methods]
+    assert len(asked) == len(set(asked))
     lines = (tmp_path / runner.RESULTS).read_text().splitlines()
     (tmp_path / runner.RESULTS).write_text("\n".join(lines[: len(lines) // 2]) + "\n")
     again = runner.run(plan, tmp_path, 1, lambda *_: None)
     assert again == first
     assert 0 < len(calls) - all_tasks < all_tasks
+    repeated = [(c.condition.name, task.number, m) for task in calls[all_tasks:] for c in task.cells for m in c.methods]
+    kept = [record for record in map(json.loads, lines[: len(lines) // 2]) if record["kind"] == "TrialRecord"]
+    assert len(repeated) == len(asked) - len(kept)  # not a method of a trial more than was lost
     more = runner.full_plan((shape, shape), 1, 3)
     assert len(runner.run(more, tmp_path, 1, lambda *_: None)) > len(first)
     with pytest.raises(InputError, match="another seed"):
