@@ -103,16 +103,17 @@ class WorkerClient:
 
     def ask(self, command: m.Command, timeout_s: float = CALL_S) -> m.Reply:
         """Send one command and wait for its reply. Raises ControlLinkLostError."""
+        limit_s = timeout_s * self._patience
         with self._changed:
             self._number += 1
             number = self._number
         self._send(m.Request(number, command))
         with self._changed:
-            answered = self._changed.wait_for(lambda: number in self._replies or self._lost is not None, timeout_s)
+            answered = self._changed.wait_for(lambda: number in self._replies or self._lost is not None, limit_s)
             if number in self._replies:
                 return self._replies.pop(number)
         if not answered:
-            self._give_up(f"no answer to {type(command).__name__} within {timeout_s:.1f} s")
+            self._give_up(f"no answer to {type(command).__name__} within {limit_s:.1f} s")
         raise ControlLinkLostError(f"the arm's control link is lost: {self._lost}")
 
     def kick(self) -> None:

@@ -11,7 +11,9 @@ import pytest
 
 from drivers.arm import messages as m
 from drivers.arm.control_loop import ControlLoop, LinkDeadError
+from drivers.arm.errors import ControlLinkLostError
 from drivers.arm.operation import Motion
+from drivers.arm.worker_client import WorkerClient
 from drivers.arm.worker_link import Link
 
 POSE = (0.4, 0.1, 0.3, 0.0, 3.1, 0.0)
@@ -345,3 +347,10 @@ def test_a_stop_overtakes_requests_that_wait() -> None:
     assert request is not None
     assert request.number == 2
     assert line.recv() == m.Reply(1, "refused", "stopped before it began")
+
+
+def test_patience_stretches_the_wait_for_an_answer():
+    client = WorkerClient(on_lost=lambda _: None, patience=3.0)  # never started, so it answers nothing
+    with pytest.raises(ControlLinkLostError, match="no answer to Stop within 0.3 s"):
+        client.ask(m.Stop(1.0, 0.0), timeout_s=0.1)
+    client.quit()
