@@ -10,14 +10,12 @@ from importlib import resources
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal
 
-import numpy as np
 import yaml
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import Field, ValidationError
 
+from controller.config_section import PoseConfig, Section, Vector3
+from controller.scanner_config import ScannerConfig
 from perception.errors import PortdockError
-from perception.geometry import Pose
-
-Vector3 = tuple[float, float, float]
 
 
 class ConfigError(PortdockError):
@@ -25,24 +23,6 @@ class ConfigError(PortdockError):
 
     code: ClassVar[str] = "config"
     default_remedy: ClassVar[str] = "Correct the key named above; `portdock config check FILE` checks a file alone."
-
-
-class Section(BaseModel):
-    """Base of all sections: immutable, no unknown keys."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
-
-
-class PoseConfig(Section):
-    """A rigid transform as millimetres and a rotation vector in degrees."""
-
-    xyz_mm: Vector3 = (0.0, 0.0, 0.0)
-    rotvec_deg: Vector3 = (0.0, 0.0, 0.0)
-
-    @property
-    def pose(self) -> Pose:
-        """The same in SI."""
-        return Pose.from_rotvec(np.deg2rad(self.rotvec_deg), np.asarray(self.xyz_mm) / 1000.0)
 
 
 class PortConfig(Section):
@@ -70,6 +50,14 @@ class ScanConfig(Section):
 
     standoff_mm: Annotated[float, Field(ge=50, le=1000)] = 290.0
     length_mm: Annotated[float, Field(ge=20, le=500)] = 180.0
+    width_mm: Annotated[float, Field(gt=0, le=500)] | None = None
+    """Across the sweep. None: the port's own width and ``margin_mm`` on both sides."""
+    margin_mm: Annotated[float, Field(ge=0, le=100)] = 15.0
+    """How far off its expected place the port must still be seen whole."""
+    overlap_percent: Annotated[float, Field(ge=5, le=60)] = 20.0
+    """Of the laser line, between neighbouring passes of a scanner with a narrow window."""
+    step_mm: Annotated[float, Field(ge=0.1, le=10)] = 1.0
+    """Between two stops of a sweep with ``scanner.sync: stop_and_go``."""
     speed_mm_s: Annotated[float, Field(gt=0, le=100)] = 35.0
     acceleration_mm_s2: Annotated[float, Field(gt=0, le=2000)] = 200.0
     centre_mm: tuple[float, float] = (0.0, -18.0)
@@ -80,24 +68,6 @@ class ScanConfig(Section):
         ViewpointConfig(pitch_deg=12.0),
         ViewpointConfig(yaw_deg=12.0),
     )
-
-
-class ScannerConfig(Section):
-    """The laser profiler."""
-
-    format: str = "wide_xz"
-    """Name of a bundled frame description, or path of one."""
-    device: str = "/dev/serial/by-id/scanner"
-    baud_rate: Annotated[int, Field(ge=9600, le=12_000_000)] = 3_000_000
-    T_flange_scanner: PoseConfig = PoseConfig()
-    latency_ms: Annotated[float, Field(ge=0, le=500)] = 0.0
-    """Constant delay from the device's time stamp to the measurement, from calibration."""
-    sync: Literal["timestamp", "shared_clock"] = "timestamp"
-    """How profiles find their arm pose. ``timestamp``: both devices' clocks are fitted to the host's. ``shared_clock``:
-    scanner and arm stamp by one clock, so delays on the way do not matter."""
-    silence_ms: Annotated[float, Field(ge=50, le=60_000)] = 1000.0
-    """With the laser on, a scanner that sends no good profile for so long is lost."""
-    max_lost_profiles_percent: Annotated[float, Field(ge=0, le=50)] = 5.0
 
 
 class ArmConfig(Section):
@@ -171,6 +141,11 @@ class MissionConfig(Section):
     charge_s: Annotated[float, Field(ge=0, le=1_000_000)] = 5.0
     """How long current must flow before the mission counts as charged and, in a dry run, ends."""
     min_charge_current_a: Annotated[float, Field(gt=0, le=500)] = 2.0
+    on_final_failure: Literal["retreat", "hold"] = "retreat"
+    """After the last failed attempt. ``retreat``: back out along the inserted axis. ``hold``: stand still, force mode
+    off, until a person comes."""
+    when_full: Literal["undock", "stay"] = "undock"
+    """When the charger says that the vehicle is full."""
 
 
 class DeadlinesConfig(Section):

@@ -34,7 +34,11 @@ class ScannerDescription:
     profile_rate_hz: float
     exposure_s: float
     range_noise_m: float
-    """1 sigma of one measured range."""
+    """1 sigma of one measured range, independent from point to point."""
+    systematic_m: float
+    """1 sigma of the error that neighbouring points share: colour, incidence, calibration."""
+    window_m: float
+    """Width of the laser line at the usual stand-off."""
 
 
 def bundled_scanners() -> list[str]:
@@ -207,6 +211,8 @@ class _ScannerModel(_Strict):
     profile_rate_hz: float = Field(gt=0, le=10_000)
     exposure_us: float = Field(default=0.0, ge=0, le=1e6)
     range_noise_um: float = Field(ge=0, le=1e6)
+    systematic_um: float = Field(default=0.0, ge=0, le=1e6)
+    window_mm: float = Field(default=1000.0, gt=0, le=10_000)
     sync: Annotated[bytes, Field(min_length=1)]
     byte_order: ByteOrder
     header: list[_FieldModel] = []
@@ -234,7 +240,14 @@ class _ScannerModel(_Strict):
             self.start.value() if self.start else None,
             self.stop.value() if self.stop else None,
         )
-        exposure_s, noise_m = self.exposure_us * 1e-6, self.range_noise_um * 1e-6
         return ScannerDescription(
-            self.name, self.title, self.baud_rate, layout, self.profile_rate_hz, exposure_s, noise_m
+            self.name,
+            self.title,
+            self.baud_rate,
+            layout,
+            self.profile_rate_hz,
+            self.exposure_us * 1e-6,
+            self.range_noise_um * 1e-6,
+            self.systematic_um * 1e-6,
+            self.window_mm * 1e-3,
         )

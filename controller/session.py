@@ -28,6 +28,7 @@ from controller.recording.log import log_into
 from controller.recording.recorder import Recorder
 from controller.recording.ring import prune
 from controller.reports.mission import write_report
+from controller.scanner_facts import scanner_facts
 from controller.summary import ContactSummary, LocateSummary, MissionSummary
 from controller.supervisor import Sources, Supervisor
 from drivers.base import MonotonicClock
@@ -137,7 +138,7 @@ def run_session(
             limits=wiring.limits_of(config, port),
             reach=wiring.reach_check(config, devices.arm),
             records=recorder,
-            profile_latency_s=wiring.profile_latency_s(config),
+            profile_latency_s=scanner_facts(config.scanner).latency_s,
             time_scale=pace,
         )
         mission = Mission(cell, config, port.T_port_tcp, watcher, folder)

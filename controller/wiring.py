@@ -11,6 +11,7 @@ import numpy as np
 from controller.config import ConfigError, SiteConfig
 from controller.planning import ReachCheck
 from controller.safety import Limits
+from controller.scanner_config import ScannerConfig
 from controller.scanner_files import load_scanner
 from drivers.arm.line_check import check_line
 from drivers.arm.settings import UrSettings, Workspace
@@ -23,6 +24,8 @@ from drivers.charger.settings import CanSettings
 from drivers.charger.traffic import CanTraffic as CanTraffic
 from drivers.charger.traffic import listen_to_bus, listen_to_file
 from drivers.scanner.framed import FramedScanner, FramedTimeouts
+from drivers.scanner.profiler2 import Profiler2, Profiler2Settings
+from drivers.scanner.scip import ScipScanner, ScipSettings
 from drivers.scanner.serial_link import SerialSettings
 from perception.geometry import Pose
 from perception.port_shape import PortDescription
@@ -39,15 +42,29 @@ class Devices:
 
 def build_devices(config: SiteConfig, sink: ByteSink, clock: Clock) -> Devices:
     """Drivers for what the configuration names. Opens nothing; raises ConfigError and file errors."""
-    scanner = load_scanner(config.scanner.format)
-    serial = SerialSettings(config.scanner.device, config.scanner.baud_rate)
     return Devices(
-        scanner=FramedScanner(
-            serial, scanner.layout, sink, clock, FramedTimeouts(silence_s=config.scanner.silence_ms / 1000.0)
-        ),
+        scanner=build_scanner(config.scanner, sink, clock),
         arm=UrArm(_arm_settings(config), sink, clock),
         charger=CanCharger(_can_settings(config), clock, sink),
     )
+
+
+def build_scanner(scanner: ScannerConfig, sink: ByteSink, clock: Clock) -> Scanner:
+    """The driver of the configured protocol. Opens nothing; raises ScannerFileError."""
+    serial = SerialSettings(scanner.device, scanner.baud_rate)
+    silence_s = scanner.silence_ms / 1000.0
+    if scanner.protocol == "profiler2":
+        own = scanner.profiler2
+        settings = Profiler2Settings(
+            own.reference_mm / 1000.0, own.y_away, own.thinning, own.address_in_words, own.tolerant, silence_s=silence_s
+        )
+        return Profiler2(serial, settings, sink, clock)
+    if scanner.protocol == "scip":
+        turning = scanner.scip
+        steps = turning.first_step, turning.last_step, turning.cluster, turning.skip
+        scip = ScipSettings(*steps, turning.intensity, turning.two_characters, silence_s=silence_s)
+        return ScipScanner(serial, scip, sink, clock)
+    return FramedScanner(serial, load_scanner(scanner.format).layout, sink, clock, FramedTimeouts(silence_s=silence_s))
 
 
 def _arm_settings(config: SiteConfig) -> UrSettings:
@@ -83,13 +100,6 @@ def _can_settings(config: SiteConfig) -> CanSettings:
         degraded_s=charger.degraded_ms / 1000.0,
         lost_s=charger.lost_ms / 1000.0,
     )
-
-
-def profile_latency_s(config: SiteConfig) -> float:
-    """Least delay from a profile's time stamp (mid-exposure) to its last byte: exposure, line (8N1) and calibration."""
-    scanner = load_scanner(config.scanner.format)
-    line_s = scanner.layout.size * 10 / config.scanner.baud_rate
-    return scanner.exposure_s / 2.0 + line_s + config.scanner.latency_ms / 1000.0
 
 
 def limits_of(config: SiteConfig, port: PortDescription) -> Limits:

@@ -1,0 +1,28 @@
+"""What every section of the configuration is made of."""
+
+from __future__ import annotations
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict
+
+from perception.geometry import Pose
+
+Vector3 = tuple[float, float, float]
+
+
+class Section(BaseModel):
+    """Base of all sections: immutable, no unknown keys."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+
+class PoseConfig(Section):
+    """A rigid transform as millimetres and a rotation vector in degrees."""
+
+    xyz_mm: Vector3 = (0.0, 0.0, 0.0)
+    rotvec_deg: Vector3 = (0.0, 0.0, 0.0)
+
+    @property
+    def pose(self) -> Pose:
+        """The same in SI."""
+        return Pose.from_rotvec(np.deg2rad(self.rotvec_deg), np.asarray(self.xyz_mm) / 1000.0)
