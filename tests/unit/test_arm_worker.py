@@ -351,6 +351,6 @@ def test_a_stop_overtakes_requests_that_wait() -> None:
 
 def test_patience_stretches_the_wait_for_an_answer():
     client = WorkerClient(on_lost=lambda _: None, patience=3.0)  # never started, so it answers nothing
-    with pytest.raises(ControlLinkLostError, match="no answer to Stop within 0.3 s"):
+    with pytest.raises(ControlLinkLostError, match=r"no answer to Stop within 0\.3 s"):
         client.ask(m.Stop(1.0, 0.0), timeout_s=0.1)
     client.quit()
