@@ -50,12 +50,16 @@ class Cell:
         """Median processor time of one registration."""
         return statistics.median([trial.total_ms / len(trial.rounds) for trial in self.trials])
 
-    def entries(self) -> tuple[float, float, float, float, float, float]:
+    def entries(self) -> tuple[Estimate, ...]:
         """MSE, RMSE and MAE (19) to (21) of the rotation entries, then of the translation entries in mm."""
-        r = np.array([trial.rotation_error for trial in self.trials])
-        t = np.array([trial.translation_error_mm for trial in self.trials])
-        r_mse, t_mse = float((r**2).mean()), float((t**2).mean())
-        return r_mse, r_mse**0.5, float(np.abs(r).mean()), t_mse, t_mse**0.5, float(np.abs(t).mean())
+        return tuple(
+            part
+            for errors in (
+                [trial.rotation_error for trial in self.trials],
+                [trial.translation_error_mm for trial in self.trials],
+            )
+            for part in statistics.entry_errors(np.array(errors))
+        )
 
     def _rounds(self, after: int | None) -> list[RoundRecord]:
         return [trial.last if after is None else trial.after(after) for trial in self.trials]

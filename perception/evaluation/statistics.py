@@ -32,6 +32,13 @@ def mean(values: Sequence[float]) -> Estimate:
     return _bootstrap(np.asarray(values, dtype=np.float64), lambda a: a.mean(axis=-1))
 
 
+def entry_errors(errors: Array) -> tuple[Estimate, Estimate, Estimate]:
+    """MSE (19), RMSE (20) and MAE (21) over all entries (trials, entries); whole trials are drawn again."""
+    squared = mean((errors**2).mean(axis=1).tolist())
+    rooted = Estimate(squared.value**0.5, squared.low**0.5, squared.high**0.5, squared.n)
+    return squared, rooted, mean(np.abs(errors).mean(axis=1).tolist())
+
+
 def _bootstrap(values: Array, statistic: Callable[[Array], Array]) -> Estimate:
     if len(values) == 0:
         return Estimate(float("nan"), float("nan"), float("nan"), 0)

@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
-from perception.evaluation import statistics
+from perception.evaluation import figures, statistics
 from perception.evaluation.cells import Cells
+from perception.evaluation.methods import METHODS
 from perception.evaluation.metrics import (
     Occupancy,
     angle_deg,
@@ -78,20 +79,25 @@ def test_bootstrap_intervals_hold_the_value_and_are_repeatable():
     assert statistics.mean([1.0, 1.0]).high == 1.0
 
 
-def record(method, trial, loss, *, centre=0.1, iou=0.4):
-    rounds = tuple(RoundRecord(loss * k, 0.1, centre, iou, iou, 5.0) for k in (2.0, 1.0))
-    return TrialRecord(COMPLETE.name, trial, method, rounds, (0.0,) * 9, (0.0,) * 3, 0.55, 0.6, 0.3, 0.44, 0.6, 0.77)
+def record(method, trial, loss, *, iou=0.4, ms=5.0, shift=0.0):
+    rounds = tuple(RoundRecord(loss * k, 0.1, 0.1, iou, iou, ms) for k in (2.0, 1.0))
+    off = (shift / 100,) * 9, (shift, 0.0, 0.0)
+    return TrialRecord(COMPLETE.name, trial, method, rounds, *off, 0.55, 0.6, 0.3, 0.44, 0.6, 0.77)
 
 
 def test_table_1_shows_ours_beside_the_papers_figure_and_the_ceiling():
-    records = [record("faithful", n, 1.0) for n in range(3)]
+    records = [record(name, n, 1.0) for name in ("faithful", "robust") for n in range(3)]
     records += [record("b1", n, 4.0, iou=0.32) for n in range(3)] + [record("b2", n, 2.0) for n in range(3)]
+    records += [record("b1-28", n, 8.0, ms=7.0) for n in range(3)]
     text = table_1(Cells.of(records)).markdown()
     loss = next(line for line in text.splitlines() if "loss against" in line)
-    for part in ("58.73 %", "+75.0 %", "66.89 %", "+50.0 %"):
+    for part in ("58.73 %", "+75.0 %", "66.89 %", "+50.0 %", "10, 10, 10"):
         assert part in loss
+    many = next(line for line in text.splitlines() if "loss against" in line and "28 starts" in line)
+    assert "+87.5 %" in many  # against the baseline 1 that had the same 28 starts
+    assert "10, 14, 10" in many  # milliseconds that each spent
     iou = next(line for line in text.splitlines() if line.startswith("| IOU"))
-    assert "+25.0 %" in iou
+    assert "+25.0 % (+8 points)" in iou
     assert "ceiling 0.55" in iou
     assert "0.400 / 0.550" in condition_table(Cells.of(records), COMPLETE).markdown()
 
@@ -107,3 +113,33 @@ def test_results_survive_a_line_that_was_cut_off(tmp_path):
     with path.open("a") as file:
         file.write('{"kind": "TrialRec')
     assert read(path) == [record("b1", 0, 1.0), record("b2", 0, 1.0)]
+
+
+def test_entry_errors_of_a_cell_are_over_all_trials_with_an_interval():
+    cell = Cells.of([record("b1", n, 1.0, shift=shift) for n, shift in enumerate((3.0, -3.0, 0.0, 6.0))]).cells[0]
+    _, _, _, mse, rmse, mae = cell.entries()
+    assert mse.value == pytest.approx((9 + 9 + 0 + 36) / 12)
+    assert rmse.value**2 == pytest.approx(mse.value)
+    assert mae.value == pytest.approx((3 + 3 + 0 + 6) / 12)
+    for entry in (mse, rmse, mae):
+        assert entry.low < entry.value < entry.high
+
+
+def test_figures_hold_every_profile_baseline_and_yardstick_and_within_a_panel_all_have_the_same_starts():
+    (_, one), (_, many) = figures._PANELS
+    groups = {entry.name: entry.group for entry in METHODS}
+    assert {groups[name] for name in one} == {"one start"}
+    assert {groups[name] for name in many} == {"28 starts", "global"}
+    assert {*one, *many} == {name for name, group in groups.items() if group != "control"}
+
+
+def test_all_figures_are_drawn_as_png_and_svg_with_every_method_named(tmp_path):
+    names = [entry.name for entry in METHODS if entry.group != "control"]
+    cells = Cells.of([record(name, n, 1.0 + n, shift=0.1 * n + 0.1) for name in names for n in range(2)])
+    paths = figures.write_figures(cells, tmp_path)
+    assert sorted(path.suffix for path in paths) == [".png"] * 5 + [".svg"] * 5
+    for path in paths:
+        assert path.stat().st_size > 5000
+        if path.suffix == ".svg":
+            for label in ("literal", "faithful", "robust", "baseline 1", "baseline 2", "RANSAC", "FGR", "28 starts"):
+                assert label in path.read_text()
