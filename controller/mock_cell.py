@@ -30,12 +30,22 @@ HOME_JOINTS = (2.8, -1.8, 1.8, -0.2, 1.5, 2.9)
 class MockCell:
     """Three mock devices, each a process at the far end of its wire. ``config`` names their addresses."""
 
-    def __init__(self, folder: Path, config: SiteConfig, scenario: Scenario, seed: int, time_scale: float) -> None:
+    def __init__(
+        self,
+        folder: Path,
+        config: SiteConfig,
+        scenario: Scenario,
+        seed: int,
+        time_scale: float,
+        can: tuple[str, str] | None = None,
+    ) -> None:
+        """``can``: python-can interface and channel of the charger's bus; None is an slcan adapter of its own."""
         self._folder = folder
         self._base = config
         self._scenario = scenario
         self._seed = seed
         self._time_scale = time_scale
+        self._can = can or ("slcan", str(folder / "can"))
         self._processes: list[subprocess.Popen[str]] = []
         self.config = config
 
@@ -48,14 +58,14 @@ class MockCell:
         Blackboard.create(self._folder, self._time_scale).close()
         host = free_loopback()
         folder = ["--world", str(self._folder)]
-        scanner, can = str(self._folder / "scanner"), str(self._folder / "can")
+        scanner = str(self._folder / "scanner")
         try:
             self._start("ur", [*folder, "--host", host, "--rate", str(self._base.arm.frequency_hz)])
             self._start(
                 "scanner",
                 [*folder, "--link", scanner, "--source", "world", "--seed", str(self._seed), *self._scanner_options()],
             )
-            self._start("charger", [*folder, "--link", can, "--lost-ms", f"{self._base.charger.lost_ms:g}"])
+            self._start("charger", [*folder, *self._charger_options()])
             for process in self._processes:
                 _await_ready(process)
         except BaseException:
@@ -65,7 +75,7 @@ class MockCell:
             update={
                 "arm": self._base.arm.model_copy(update={"host": host}),
                 "scanner": self._base.scanner.model_copy(update={"device": scanner}),
-                "charger": self._base.charger.model_copy(update={"interface": "slcan", "channel": can}),
+                "charger": self._base.charger.model_copy(update={"interface": self._can[0], "channel": self._can[1]}),
             }
         )
         return self
@@ -78,6 +88,14 @@ class MockCell:
     def _scanner_options(self) -> list[str]:
         shared = self._base.scanner.sync == "shared_clock"
         return [*PROFILE_RATE, "--clock-offset-s", "0" if shared else "100"]
+
+    def _charger_options(self) -> list[str]:
+        """Where the mock charger is reached, and the contract as the site has it."""
+        site, (interface, channel) = self._base.charger, self._can
+        where = ["--link", channel] if interface == "slcan" else ["--interface", interface, "--channel", channel]
+        contract = ["--protection", site.protection, "--bitrate", str(site.bitrate_bps)]
+        contract += [] if site.dbc is None else ["--dbc", str(Path(site.dbc).resolve())]
+        return [*where, *contract, "--lost-ms", f"{site.lost_ms:g}"]
 
     def _world(self) -> WorldSpec:
         config, port = self._base, load_port(self._base.port.model)

@@ -26,11 +26,15 @@ def dry_run(
     seed: Annotated[int, typer.Option(min=0, help="Where the car stands, and all noise.")] = 0,
     scenario: Annotated[str, typer.Option(help="One of " + ", ".join(SCENARIOS) + ".")] = "nominal",
     fast: Annotated[bool, typer.Option("--fast", help=f"Wire and arm pacing {FAST_FACTOR:g} times as fast.")] = False,
+    slow: Annotated[bool, typer.Option("--slow", help="Half as fast, for a host that cannot keep up.")] = False,
     out: Annotated[
         Path | None, typer.Option(help="Folder for recording and report; must not hold a recording.")
     ] = None,
     config: Annotated[
         Path | None, typer.Option(help="A site file; device addresses are replaced by the mocks'.")
+    ] = None,
+    can: Annotated[
+        str | None, typer.Option(help="The mock charger's bus instead of a pty, as INTERFACE:CHANNEL: socketcan:vcan0.")
     ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object instead of progress.")] = False,
 ) -> None:
@@ -41,11 +45,11 @@ def dry_run(
     site = for_mocks(load_config(config), fast)
     world = draw_scenario(scenario, site, load_port(site.port.model), seed)
     folder = run_folder(out, site)
-    pace = FAST_FACTOR if fast else 1.0
+    pace = FAST_FACTOR if fast else 1.0 / FAST_FACTOR if slow else 1.0
     with make_display(quiet=as_json) as display, tempfile.TemporaryDirectory(prefix="portdock-") as wires:
         if fast:
             display.note(f"fast: wires and arm run {pace:g} times as fast; heartbeats keep wall time; one device clock")
-        with MockCell(Path(wires), site, world, seed, pace) as cell:
+        with MockCell(Path(wires), site, world, seed, pace, can_bus(can)) as cell:
             summary = run_session(
                 cell.config,
                 folder,
@@ -58,6 +62,19 @@ def dry_run(
             keep_mock_logs(Path(wires), folder)
         display.finish(summary)
     finish(summary, as_json)
+
+
+def can_bus(text: str | None) -> tuple[str, str] | None:
+    """``INTERFACE:CHANNEL`` as its two parts. Raises ConfigError."""
+    if text is None:
+        return None
+    interface, _, channel = text.partition(":")
+    if not interface or not channel or interface in ("slcan", "virtual"):
+        raise ConfigError(
+            f"--can {text} names no bus that two processes share",
+            remedy="Give INTERFACE:CHANNEL of a bus that python-can opens, socketcan:vcan0 for instance.",
+        )
+    return interface, channel
 
 
 def keep_mock_logs(wires: Path, folder: Path) -> None:
@@ -94,15 +111,23 @@ def run_folder(out: Path | None, site: SiteConfig) -> Path:
 
 
 def for_mocks(site: SiteConfig, fast: bool = False) -> SiteConfig:
-    """The same site with the host's limits widened: a desk machine's scheduler is not the robot's.
+    """The same site with the host's limits widened, if they are not wider: a desk's scheduler is not the robot's.
 
     Fast, a millisecond of delay is several of arm motion: there the mocks stamp by one clock.
     """
+    arm, charger = site.arm, site.charger
     changes: dict[str, dict[str, float | str]] = {
-        "arm": {"freshness_ms": 2000.0, "watchdog_hz": 0.5, "frequency_hz": 125},
-        "charger": {"degraded_ms": 1000.0, "lost_ms": 3000.0},
-        "scanner": {"silence_ms": 5000.0, "sync": "shared_clock" if fast else site.scanner.sync},
-        "host": {"stall_ms": 2000.0},
+        "arm": {
+            "freshness_ms": max(2000.0, arm.freshness_ms),
+            "watchdog_hz": min(0.5, arm.watchdog_hz),
+            "frequency_hz": 125,
+        },
+        "charger": {"degraded_ms": max(1000.0, charger.degraded_ms), "lost_ms": max(3000.0, charger.lost_ms)},
+        "scanner": {
+            "silence_ms": max(5000.0, site.scanner.silence_ms),
+            "sync": "shared_clock" if fast else site.scanner.sync,
+        },
+        "host": {"stall_ms": max(2000.0, site.host.stall_ms)},
     }
     return site.model_copy(
         update={name: getattr(site, name).model_copy(update=update) for name, update in changes.items()}
