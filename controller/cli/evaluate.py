@@ -1,4 +1,4 @@
-"""``portdock evaluate method``: the published method's figures and table, ours beside the paper's."""
+"""``portdock evaluate``: the published method's figures and table, ours beside the paper's; the locator."""
 
 from __future__ import annotations
 
@@ -9,12 +9,10 @@ from typing import Annotated
 import typer
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
+from controller.cli.evaluate_locate import evaluate_locate
+
 app = typer.Typer(help="Measure how well ports are located, against baselines and truth.", no_args_is_help=True)
-
-
-@app.callback()
-def _group() -> None:
-    """Keeps ``method`` a command of its own while it is the only one."""
+app.command("locate")(evaluate_locate)
 
 
 @app.command("method")
