@@ -1,28 +1,24 @@
 """The site configuration: typed, bounded, unknown keys refused. YAML in; every key carries its unit.
 
-``config/default.yaml`` holds every key; a site file overrides what differs. Nothing here opens a device.
+A site file overrides what differs from ``config/default.yaml``, and that what differs from the values below. Nothing
+here opens a device.
 """
 
 from __future__ import annotations
 
 import difflib
-from importlib import resources
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, Literal
 
 import yaml
 from pydantic import Field, ValidationError
 
-from controller.config_section import PoseConfig, Section, Vector3
+from controller.arm_config import ArmConfig
+from controller.config_layers import layers, merged
+from controller.config_section import ConfigError, PoseConfig, Section
+from controller.config_units import unit_of
+from controller.insertion_config import InsertionConfig
 from controller.scanner_config import ScannerConfig
-from perception.errors import PortdockError
-
-
-class ConfigError(PortdockError):
-    """The configuration cannot be used as it is (exit code 2)."""
-
-    code: ClassVar[str] = "config"
-    default_remedy: ClassVar[str] = "Correct the key named above; `portdock config check FILE` checks a file alone."
 
 
 class PortConfig(Section):
@@ -70,22 +66,6 @@ class ScanConfig(Section):
     )
 
 
-class ArmConfig(Section):
-    """The Universal Robots arm."""
-
-    model: str = "ur10e"
-    host: str = "192.168.0.10"
-    serial: str | None = None
-    T_flange_tcp: PoseConfig = PoseConfig()
-    payload_kg: Annotated[float, Field(ge=0, le=30)] = 3.0
-    centre_of_gravity_mm: Vector3 = (0.0, 0.0, 80.0)
-    frequency_hz: Literal[125, 500] = 500
-    watchdog_hz: Annotated[float, Field(ge=0.2, le=50)] = 10.0
-    freshness_ms: Annotated[float, Field(ge=20, le=5000)] = 200.0
-    workspace_min_mm: Vector3 = (-1300.0, -1300.0, -300.0)
-    workspace_max_mm: Vector3 = (1300.0, 1300.0, 1300.0)
-
-
 class ChargerConfig(Section):
     """The charger on CAN."""
 
@@ -110,28 +90,6 @@ class MotionConfig(Section):
     pre_contact_mm: Annotated[float, Field(ge=5, le=200)] = 30.0
     """Gap between plug and rim plane where the guarded motion starts."""
     retreat_mm: Annotated[float, Field(ge=20, le=400)] = 90.0
-
-
-class InsertionConfig(Section):
-    """What happens within the last centimetres."""
-
-    contact_speed_mm_s: Annotated[float, Field(gt=0, le=20)] = 10.0
-    contact_force_n: Annotated[float, Field(gt=0, le=50)] = 10.0
-    push_force_n: Annotated[float, Field(gt=0, le=100)] = 60.0
-    speed_limit_mm_s: Annotated[float, Field(gt=0, le=20)] = 15.0
-    lateral_speed_limit_mm_s: Annotated[float, Field(gt=0, le=20)] = 10.0
-    tilt_speed_limit_deg_s: Annotated[float, Field(gt=0, le=5)] = 3.0
-    max_axial_force_n: Annotated[float, Field(gt=0, le=150)] = 80.0
-    max_lateral_force_n: Annotated[float, Field(gt=0, le=100)] = 30.0
-    max_moment_nm: Annotated[float, Field(gt=0, le=20)] = 6.0
-    seated_within_mm: Annotated[float, Field(gt=0, le=5)] = 1.0
-    plateau_s: Annotated[float, Field(gt=0, le=5)] = 0.3
-    stall_s: Annotated[float, Field(gt=0, le=10)] = 1.0
-    search_radius_mm: Annotated[float, Field(gt=0, le=5)] = 2.0
-    search_force_n: Annotated[float, Field(gt=0, le=25)] = 12.0
-    search_s: Annotated[float, Field(gt=0, le=60)] = 8.0
-    withdraw_force_n: Annotated[float, Field(gt=0, le=100)] = 70.0
-    withdraw_speed_mm_s: Annotated[float, Field(gt=0, le=50)] = 25.0
 
 
 class MissionConfig(Section):
@@ -195,18 +153,9 @@ class SiteConfig(Section):
     recording: RecordingConfig = RecordingConfig()
 
 
-def load_config(path: Path | None = None) -> SiteConfig:
-    """The defaults, overridden by the site file at ``path``. Raises ConfigError."""
-    values = _read_yaml(resources.files("config").joinpath("default.yaml").read_text(), "default.yaml")
-    if path is not None:
-        try:
-            text = path.read_text(encoding="utf-8")
-        except (OSError, UnicodeDecodeError) as error:
-            raise ConfigError(
-                f"cannot read {path}: {error}", remedy="Give the path of a readable YAML file."
-            ) from error
-        values = _merged(values, _read_yaml(text, str(path)))
-    return parse_config(values)
+def load_config(path: Path | None = None, scanner: str | None = None) -> SiteConfig:
+    """The defaults, a scanner's bundled site on top, the site file at ``path`` on top of both. Raises ConfigError."""
+    return parse_config(merged(layers(path, scanner)))
 
 
 def parse_config(values: dict[str, Any]) -> SiteConfig:
@@ -222,30 +171,6 @@ def as_yaml(config: SiteConfig) -> str:
     return yaml.safe_dump(config.model_dump(mode="json"), sort_keys=False, default_flow_style=None)
 
 
-def _read_yaml(text: str, name: str) -> dict[str, Any]:
-    try:
-        values = yaml.safe_load(text)
-    except yaml.YAMLError as error:
-        where = getattr(error, "problem_mark", None)
-        line = f" at line {where.line + 1}, column {where.column + 1}" if where else ""
-        problem = getattr(error, "problem", None) or "not YAML"
-        raise ConfigError(f"{name} is not valid YAML{line}: {problem}", remedy="Correct that line.") from error
-    if values is None:
-        return {}
-    if not isinstance(values, dict):
-        raise ConfigError(f"{name} is not a YAML mapping of sections")
-    return values
-
-
-def _merged(base: dict[str, Any], over: dict[str, Any]) -> dict[str, Any]:
-    """``over`` on top of ``base``, section by section."""
-    merged = dict(base)
-    for key, value in over.items():
-        both = isinstance(value, dict) and isinstance(merged.get(key), dict)
-        merged[key] = _merged(merged[key], value) if both else value
-    return merged
-
-
 def _explained(error: ValidationError) -> ConfigError:
     """The first problem as one line of cause and one of remedy."""
     problem = error.errors()[0]
@@ -254,7 +179,8 @@ def _explained(error: ValidationError) -> ConfigError:
         near = difflib.get_close_matches(str(problem["loc"][-1]), _keys_beside(problem["loc"]), n=1, cutoff=0.5)
         remedy = f"Did you mean '{near[0]}'?" if near else "Remove it; `portdock config show` lists every key."
         return ConfigError(f"unknown key '{key}'", remedy=remedy)
-    unit = _unit(str(problem["loc"][-1]))
+    unit = unit_of(str(problem["loc"][-1]))
+    unit = f" {unit}" if unit else ""
     bounds = {"greater_than": ">", "greater_than_equal": ">=", "less_than": "<", "less_than_equal": "<="}
     if problem["type"] in bounds:
         limit = next(iter(problem["ctx"].values()))
@@ -270,18 +196,3 @@ def _keys_beside(location: tuple[int | str, ...]) -> list[str]:
         field = model.model_fields.get(str(part)) if hasattr(model, "model_fields") else None
         model = field.annotation if field else model
     return list(getattr(model, "model_fields", {}))
-
-
-_UNITS = {
-    "mm": "mm", "deg": "deg", "s": "s", "ms": "ms", "n": "N", "nm": "Nm", "hz": "Hz", "kg": "kg", "a": "A",
-    "bps": "bit/s", "percent": "%", "mb": "MB", "rate": "baud",
-}  # fmt: skip
-
-
-def _unit(key: str) -> str:
-    """The unit that a key's name ends with, with a space before it; empty for a key without unit."""
-    for rate in ("mm_s2", "deg_s2", "mm_s", "deg_s"):
-        if key.endswith(rate):
-            return " " + rate.replace("_", "/", 1).replace("s2", "s^2")
-    unit = _UNITS.get(key.rsplit("_", 1)[-1])
-    return f" {unit}" if unit and "_" in key else ""

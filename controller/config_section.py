@@ -2,18 +2,28 @@
 
 from __future__ import annotations
 
+from typing import ClassVar
+
 import numpy as np
 from pydantic import BaseModel, ConfigDict
 
+from perception.errors import PortdockError
 from perception.geometry import Pose
 
 Vector3 = tuple[float, float, float]
 
 
-class Section(BaseModel):
-    """Base of all sections: immutable, no unknown keys."""
+class ConfigError(PortdockError):
+    """The configuration cannot be used as it is (exit code 2)."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+    code: ClassVar[str] = "config"
+    default_remedy: ClassVar[str] = "Correct the key named above; `portdock config check FILE` checks a file alone."
+
+
+class Section(BaseModel):
+    """Base of all sections: immutable, no unknown keys, a doc string below each key that needs one."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, use_attribute_docstrings=True)
 
 
 class PoseConfig(Section):

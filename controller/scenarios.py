@@ -6,7 +6,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from controller.config import ConfigError, SiteConfig
+from controller.config import SiteConfig
+from controller.config_section import ConfigError
 from perception.geometry import Pose
 from perception.port_shape import PortDescription
 

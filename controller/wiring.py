@@ -2,21 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from controller.config import ConfigError, SiteConfig
+from controller.arm_config import BoxConfig
+from controller.config import SiteConfig
+from controller.config_section import ConfigError
 from controller.planning import ReachCheck
 from controller.safety import Limits
 from controller.scanner_config import ScannerConfig
 from controller.scanner_files import load_scanner
-from drivers.arm.line_check import check_line
+from drivers.arm.approach import why_not
+from drivers.arm.kinematics import JointLimits
 from drivers.arm.settings import UrSettings, Workspace
 from drivers.arm.ur import UrArm
-from drivers.base import Arm, ByteSink, Charger, Clock, MonotonicClock, Scanner
+from drivers.base import Arm, Box, ByteSink, Charger, Clock, MonotonicClock, Scanner
 from drivers.charger.can_charger import CanCharger
 from drivers.charger.contract import Contract
 from drivers.charger.e2e import Scheme
@@ -27,7 +29,6 @@ from drivers.scanner.framed import FramedScanner, FramedTimeouts
 from drivers.scanner.profiler2 import Profiler2, Profiler2Settings
 from drivers.scanner.scip import ScipScanner, ScipSettings
 from drivers.scanner.serial_link import SerialSettings
-from perception.geometry import Pose
 from perception.port_shape import PortDescription
 
 
@@ -80,8 +81,20 @@ def _arm_settings(config: SiteConfig) -> UrSettings:
         watchdog_hz=arm.watchdog_hz,
         freshness_s=arm.freshness_ms / 1000.0,
         patience=max(1.0, config.host.stall_ms / 500.0),
+        upper_registers=arm.upper_registers,
+        stop_running_program=arm.stop_running_program,
         workspace=Workspace(np.array(_metres(arm.workspace_min_mm)), np.array(_metres(arm.workspace_max_mm))),
+        joint_limits=JointLimits(np.deg2rad(arm.joint_min_deg), np.deg2rad(arm.joint_max_deg)),
+        least_sigma=arm.least_singular_value,
+        boxes=tuple(_box(box) for box in arm.boxes),
+        tool_radius_m=arm.tool_radius_mm / 1000.0,
+        least_clearance_m=arm.least_clearance_mm / 1000.0,
     )
+
+
+def _box(box: BoxConfig) -> Box:
+    x, y, z = _metres(box.size_mm)
+    return Box(box.name, box.T_base_box.pose, (x / 2.0, y / 2.0, z / 2.0), box.tool_may_touch)
 
 
 def _can_settings(config: SiteConfig) -> CanSettings:
@@ -104,7 +117,7 @@ def _can_settings(config: SiteConfig) -> CanSettings:
 
 def limits_of(config: SiteConfig, port: PortDescription) -> Limits:
     """Every bound of the gate, from configuration and port."""
-    motion, insertion = config.motion, config.insertion
+    motion, insertion = config.motion, config.insertion.on(port.name)
     return Limits(
         workspace_min_m=_metres(config.arm.workspace_min_mm),
         workspace_max_m=_metres(config.arm.workspace_max_mm),
@@ -121,22 +134,13 @@ def limits_of(config: SiteConfig, port: PortDescription) -> Limits:
 
 
 def reach_check(config: SiteConfig, arm: Arm) -> ReachCheck:
-    """Whether the arm can follow straight lines through TCP poses from where it stands, by its nominal kinematics."""
+    """Whether the arm can follow straight lines through TCP poses from where it stands, by its nominal kinematics.
+
+    Looks at reach, joint limits, singularities and clearance: from itself, from the configured boxes and from those
+    that the arm was told of last (``set_obstacles``).
+    """
     settings = _arm_settings(config)
-    T_tcp_flange = settings.T_flange_tcp.inverse()
-
-    def why_not(T_base_tcp: Sequence[Pose]) -> str | None:
-        state = arm.state()
-        joints, start = state.joints, state.T_base_flange
-        for pose in T_base_tcp:
-            end = pose @ T_tcp_flange
-            line = check_line(settings.kinematics, start, end, joints, settings.joint_limits, settings.least_sigma)
-            if not line.ok:
-                return "; ".join(line.reasons)
-            joints, start = line.joints[-1], end
-        return None
-
-    return why_not
+    return lambda T_base_tcp: why_not(T_base_tcp, arm.state(), settings, arm.obstacles)
 
 
 def _metres(values_mm: tuple[float, float, float]) -> tuple[float, float, float]:

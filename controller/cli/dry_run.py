@@ -13,7 +13,8 @@ from typing import Annotated
 import typer
 
 from controller.cli.progress import make_display
-from controller.config import ConfigError, SiteConfig, load_config
+from controller.config import SiteConfig, load_config
+from controller.config_section import ConfigError
 from controller.port_files import load_port
 from controller.scenarios import SCENARIOS, draw_scenario
 from controller.summary import MissionSummary
@@ -36,13 +37,14 @@ def dry_run(
     can: Annotated[
         str | None, typer.Option(help="The mock charger's bus instead of a pty, as INTERFACE:CHANNEL: socketcan:vcan0.")
     ] = None,
+    scanner: Annotated[str | None, typer.Option(help="A scanner with a site of its own: profiler2.")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object instead of progress.")] = False,
 ) -> None:
     """Watch a whole docking cycle without hardware: three mocks on real wires, the very controller of the daemon."""
     from controller.mock_cell import MockCell  # devices and reports take seconds to import: other commands need none
     from controller.session import run_session
 
-    site = for_mocks(load_config(config), fast)
+    site = for_mocks(load_config(config, scanner), fast)
     world = draw_scenario(scenario, site, load_port(site.port.model), seed)
     folder = run_folder(out, site)
     pace = FAST_FACTOR if fast else 1.0 / FAST_FACTOR if slow else 1.0
@@ -125,7 +127,7 @@ def for_mocks(site: SiteConfig, fast: bool = False) -> SiteConfig:
         "charger": {"degraded_ms": max(1000.0, charger.degraded_ms), "lost_ms": max(3000.0, charger.lost_ms)},
         "scanner": {
             "silence_ms": max(5000.0, site.scanner.silence_ms),
-            "sync": "shared_clock" if fast else site.scanner.sync,
+            "sync": "shared_clock" if fast and site.scanner.sync == "timestamp" else site.scanner.sync,
         },
         "host": {"stall_ms": max(2000.0, site.host.stall_ms)},
     }

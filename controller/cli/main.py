@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from controller.cli import charger, config, dry_run, evaluate, locate, merge, mock, recording, scanner, states
-from controller.config import ConfigError
+from controller.config_section import ConfigError
 from controller.faults import MissionFault
 from drivers.base import DriverError
 from perception.errors import InputError, PortdockError
