@@ -15,8 +15,8 @@ from scipy.spatial.transform import Rotation
 
 from controller.cell import Cell
 from controller.commands import Comply, MoveVelocity, StopMotion, ZeroForce
-from controller.config import InsertionConfig
 from controller.faults import FaultCode, MissionFault
+from controller.insertion_config import InsertionConfig
 from controller.planning import FACING, DockPlan
 from drivers.base import ArmState, Compliance
 from perception.geometry import Array, Pose

@@ -6,7 +6,7 @@ what they receive with the host's monotonic clock and hand every byte, frame and
 
 from __future__ import annotations
 
-from drivers.interfaces.arm import Arm, ArmState, Compliance, MotionProgress, RobotMode, SafetyMode
+from drivers.interfaces.arm import Arm, ArmState, Box, Compliance, MotionProgress, RobotMode, SafetyMode
 from drivers.interfaces.charger import (
     Charger,
     ChargerRequest,
@@ -29,6 +29,7 @@ __all__ = [
     "Arm",
     "ArmCommandRecord",
     "ArmState",
+    "Box",
     "ByteSink",
     "CanFrame",
     "Charger",

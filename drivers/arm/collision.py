@@ -12,7 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from drivers.arm.kinematics import ArmModel, frames_many
-from perception.geometry import Array, Pose
+from drivers.base import Box
+from perception.geometry import Array
 
 LINKS = ("base", "shoulder", "upper arm", "elbow", "forearm", "wrist 1", "wrist 2", "wrist 3", "tool")
 TOOL = LINKS.index("tool")
@@ -63,19 +64,6 @@ _SIZES = {
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Box:
-    """Something solid in the base frame."""
-
-    name: str
-    T_base_box: Pose
-    """Pose of the box's centre."""
-    half_size: tuple[float, float, float]
-    """Half of each edge, m."""
-    tool_may_touch: bool = False
-    """True for the vehicle's panel, which the plug is meant to meet."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class Tool:
     """The tool as one capsule from the flange to its tip."""
 
@@ -95,12 +83,37 @@ class Clearance:
     """At which of the poses."""
 
 
+NO_NEARER_M = 0.001
+
+
 def clearance(model: ArmModel, joints: Array, tool: Tool, boxes: tuple[Box, ...] = ()) -> Clearance:
     """Smallest distance of the arm from itself and from ``boxes`` over joint vectors (K, 6)."""
+    return min((_smallest(*pairs) for pairs in _gaps(model, joints, tool, boxes)), key=lambda one: one.distance_m)
+
+
+def intrusion(model: ArmModel, joints: Array, tool: Tool, boxes: tuple[Box, ...], least_m: float) -> Clearance | None:
+    """The worst of what comes nearer than ``least_m`` along joint vectors (K, 6), or None.
+
+    Two bodies that are too near at the first of them already may stay so, but come no nearer.
+    """
+    found = []
+    for gaps, names in _gaps(model, joints, tool, boxes):
+        worst = gaps.min(axis=0)
+        bad = (worst < least_m) & (worst < gaps[0] - NO_NEARER_M)
+        if bad.any():
+            found.append(_smallest(gaps[:, bad], [name for name, is_bad in zip(names, bad, strict=True) if is_bad]))
+    return min(found, key=lambda one: one.distance_m, default=None)
+
+
+def _gaps(model: ArmModel, joints: Array, tool: Tool, boxes: tuple[Box, ...]) -> list[tuple[Array, list[str]]]:
+    """Distances (K, P) of pairs of bodies along a path, and the pairs' names: the arm's own, then each box's."""
     starts, ends, radii = _capsules(model, np.asarray(joints, dtype=np.float64), tool)
-    found = [_self_clearance(starts, ends, radii)]
-    found += [_box_clearance(starts, ends, radii, box) for box in boxes]
-    return min(found, key=lambda one: one.distance_m)
+    return [_self_gaps(starts, ends, radii), *(_box_gaps(starts, ends, radii, box) for box in boxes)]
+
+
+def _smallest(gaps: Array, names: list[str]) -> Clearance:
+    sample, pair = np.unravel_index(int(np.argmin(gaps)), gaps.shape)
+    return Clearance(float(gaps[sample, pair]), names[pair], int(sample))
 
 
 def _capsules(model: ArmModel, joints: Array, tool: Tool) -> tuple[Array, Array, Array]:
@@ -128,22 +141,19 @@ def _capsules(model: ArmModel, joints: Array, tool: Tool) -> tuple[Array, Array,
     return ends[:, :, 0], ends[:, :, 1], radii
 
 
-def _self_clearance(starts: Array, ends: Array, radii: Array) -> Clearance:
+def _self_gaps(starts: Array, ends: Array, radii: Array) -> tuple[Array, list[str]]:
     a, b = _SELF_PAIRS.T
     distance = segment_distance(starts[:, a], ends[:, a], starts[:, b], ends[:, b]) - radii[a] - radii[b]
-    sample, pair = np.unravel_index(int(np.argmin(distance)), distance.shape)
-    what = f"{LINKS[a[pair]]} and {LINKS[b[pair]]}"
-    return Clearance(float(distance[sample, pair]), what, int(sample))
+    return distance, [f"{LINKS[i]} and {LINKS[j]}" for i, j in _SELF_PAIRS]
 
 
-def _box_clearance(starts: Array, ends: Array, radii: Array, box: Box) -> Clearance:
+def _box_gaps(starts: Array, ends: Array, radii: Array, box: Box) -> tuple[Array, list[str]]:
     """The base stands where it stands: links from the shoulder on are looked at."""
     links = np.arange(1, TOOL if box.tool_may_touch else TOOL + 1)
     inverse = box.T_base_box.inverse()
     start, end = (inverse.apply(points[:, links].reshape(-1, 3)) for points in (starts, ends))
-    gap = segment_box_distance(start, end, np.asarray(box.half_size)).reshape(-1, len(links)) - radii[links]
-    sample, link = np.unravel_index(int(np.argmin(gap)), gap.shape)
-    return Clearance(float(gap[sample, link]), f"{LINKS[links[link]]} and {box.name}", int(sample))
+    gaps = segment_box_distance(start, end, np.asarray(box.half_size)).reshape(-1, len(links)) - radii[links]
+    return gaps, [f"{LINKS[link]} and {box.name}" for link in links]
 
 
 def segment_distance(p1: Array, q1: Array, p2: Array, q2: Array) -> Array:

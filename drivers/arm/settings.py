@@ -6,8 +6,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from drivers.arm.collision import Box, Tool
+from drivers.arm.collision import Tool
 from drivers.arm.kinematics import MODELS, ArmModel, JointLimits
+from drivers.base import Box
 from perception.geometry import Array, Pose
 
 

@@ -15,7 +15,6 @@ import numpy as np
 
 from drivers.arm import messages as m
 from drivers.arm import validate
-from drivers.arm.collision import Box
 from drivers.arm.errors import ArmBusyError, InvalidCommandError, ProgramStoppedError, UnreachableError
 from drivers.arm.links import Links
 from drivers.arm.motion import MotionTracker
@@ -24,6 +23,7 @@ from drivers.arm.worker_client import CALL_S
 from drivers.base import (
     ArmCommandRecord,
     ArmState,
+    Box,
     ByteSink,
     Clock,
     CommandRejectedError,
@@ -96,6 +96,11 @@ class UrArm:
             return self._tracker.progress(m.Status(False, 0, "idle"), 0.0, self._links.newest, lost)
         worker = self._links.worker
         return self._tracker.progress(worker.status, worker.status_s, self._links.newest, None)
+
+    @property
+    def obstacles(self) -> tuple[Box, ...]:
+        """What ``set_obstacles`` was told last."""
+        return self._obstacles
 
     def set_obstacles(self, boxes: tuple[Box, ...]) -> None:
         """Boxes seen in the present scene (open cover, panel), to keep clear of beside the configured ones."""

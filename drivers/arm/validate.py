@@ -11,16 +11,15 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike
 
-from drivers.arm.collision import Box, clearance
+from drivers.arm.collision import intrusion
 from drivers.arm.errors import CollisionError, InvalidCommandError, UnreachableError
 from drivers.arm.kinematics import nearest_branch
 from drivers.arm.line_check import check_line
 from drivers.arm.settings import UrSettings
-from drivers.base import ArmState, Compliance
+from drivers.base import ArmState, Box, Compliance
 from perception.geometry import Array, Pose
 
 PATH_STEP_RAD = 0.05
-NO_NEARER_M = 0.001
 
 
 def finite(name: str, values: ArrayLike, count: int) -> Array:
@@ -83,17 +82,14 @@ def line(pose: Pose, state: ArmState, settings: UrSettings) -> Array:
 def clear(path: Array, settings: UrSettings, boxes: tuple[Box, ...] = ()) -> None:
     """The arm keeps clear of itself and of boxes along joints (K, 6). Raises CollisionError.
 
-    From where it is too near already it may move, if that brings it no nearer.
+    Bodies that are too near already may move, if that brings them no nearer.
     """
-    known = settings.boxes + boxes
-    worst = clearance(settings.kinematics, path, settings.tool, known)
-    if worst.distance_m >= settings.least_clearance_m:
-        return
-    now = clearance(settings.kinematics, path[:1], settings.tool, known)
-    if worst.distance_m < now.distance_m - NO_NEARER_M:
+    s = settings
+    found = intrusion(s.kinematics, path, s.tool, s.boxes + boxes, s.least_clearance_m)
+    if found is not None:
         raise CollisionError(
-            f"{worst.what} would come within {1000 * worst.distance_m:.0f} mm "
-            f"(allowed {1000 * settings.least_clearance_m:.0f} mm)"
+            f"{found.what} would come within {1000 * found.distance_m:.0f} mm "
+            f"(allowed {1000 * s.least_clearance_m:.0f} mm)"
         )
 
 

@@ -91,6 +91,19 @@ class Compliance:
     """Compliant axis: largest speed (m/s, rad/s). Other axes: largest deviation (m, rad)."""
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Box:
+    """Something solid in the base frame that the arm must keep clear of."""
+
+    name: str
+    T_base_box: Pose
+    """Pose of the box's centre."""
+    half_size: tuple[float, float, float]
+    """Half of each edge, m."""
+    tool_may_touch: bool = False
+    """True for the vehicle's panel, which the plug is meant to meet."""
+
+
 class Arm(Protocol):
     """A Universal Robots arm. Motions are asynchronous: they return once accepted, ``motion()`` tells the rest."""
 
@@ -107,6 +120,13 @@ class Arm(Protocol):
         """Samples received after ``since_s`` (host's monotonic), oldest first; a bounded number is kept."""
 
     def health(self) -> LinkHealth: ...
+
+    @property
+    def obstacles(self) -> tuple[Box, ...]:
+        """What ``set_obstacles`` was told last."""
+
+    def set_obstacles(self, boxes: tuple[Box, ...]) -> None:
+        """Boxes seen in the present scene (open cover, panel), to keep clear of beside the configured ones."""
 
     def move_joints(self, T_base_tcp: Pose, speed_rad_s: float, acceleration_rad_s2: float) -> int:
         """Joint motion to the pose on the branch nearest to the present joints. Returns the motion's id."""

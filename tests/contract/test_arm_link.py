@@ -10,7 +10,6 @@ import time
 import numpy as np
 import pytest
 
-from drivers.arm.collision import Box
 from drivers.arm.errors import (
     ArmBusyError,
     CollisionError,
@@ -18,7 +17,7 @@ from drivers.arm.errors import (
     ProgramStoppedError,
     UnreachableError,
 )
-from drivers.base import Compliance, RobotMode, SafetyMode
+from drivers.base import Box, Compliance, RobotMode, SafetyMode
 from perception.geometry import Pose
 from tests.arm_rig import COG_M, PAYLOAD_KG, T_FLANGE_TCP, Rig, until
 

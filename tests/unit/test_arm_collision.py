@@ -9,8 +9,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drivers.arm.collision import Box, Tool, clearance, segment_box_distance, segment_distance
+from drivers.arm.collision import Tool, clearance, intrusion, segment_box_distance, segment_distance
 from drivers.arm.kinematics import MODELS, forward
+from drivers.base import Box
 from perception.geometry import Pose
 
 UR10E = MODELS["ur10e"]
@@ -82,6 +83,18 @@ def test_distance_from_a_box_shrinks_as_the_box_comes_nearer() -> None:
         return found.distance_m
 
     assert gap(0.05) > gap(0.08) > 0.0 > gap(0.3)
+
+
+def test_bodies_too_near_already_excuse_no_others() -> None:
+    tip = forward(UR10E, HOME).moved(TOOL.tip)
+    around = Box("stand", Pose(np.eye(3), tip.translation), (0.02, 0.02, 0.02))
+    turned = HOME + np.array([0.4, 0, 0, 0, 0, 0])
+    ahead = Box("post", Pose(np.eye(3), forward(UR10E, turned).moved(TOOL.tip).translation), (0.01, 0.01, 0.01))
+    path = HOME + np.linspace(0, 1, 40)[:, None] * (turned - HOME)
+    assert intrusion(UR10E, path, TOOL, (around,), 0.0) is None, "it leaves what it overlaps"
+    found = intrusion(UR10E, path, TOOL, (around, ahead), 0.0)
+    assert found is not None and found.what == "tool and post"
+    assert intrusion(UR10E, path[::-1], TOOL, (around,), 0.0) is not None
 
 
 def test_a_whole_approach_takes_little_of_a_processor() -> None:

@@ -9,7 +9,6 @@ import pytest
 
 from drivers.arm import messages as m
 from drivers.arm import validate
-from drivers.arm.collision import Box
 from drivers.arm.errors import (
     ArmAbsentError,
     ArmVersionError,
@@ -24,7 +23,7 @@ from drivers.arm.kinematics import MODELS, JointLimits, forward
 from drivers.arm.motion import MotionTracker
 from drivers.arm.opening import check_version, same_model, start_error
 from drivers.arm.settings import UrSettings, Workspace
-from drivers.base import ArmState, LinkOpenError, RobotMode, SafetyMode
+from drivers.base import ArmState, Box, LinkOpenError, RobotMode, SafetyMode
 from perception.geometry import Pose
 
 HOME = np.radians([20.0, -100.0, 110.0, -100.0, -90.0, 10.0])

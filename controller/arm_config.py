@@ -1,0 +1,55 @@
+"""The arm as configuration: which robot, its tool, its limits, and what stands around it."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from controller.config_section import PoseConfig, Section, Vector3
+
+Size = Annotated[float, Field(gt=0, le=10_000)]
+Angle = Annotated[float, Field(ge=-360, le=360)]
+Joints = tuple[Angle, Angle, Angle, Angle, Angle, Angle]
+
+
+class BoxConfig(Section):
+    """Something solid that stands still in the base frame."""
+
+    name: Annotated[str, Field(min_length=1)]
+    T_base_box: PoseConfig = PoseConfig()
+    """Pose of the box's centre."""
+    size_mm: tuple[Size, Size, Size]
+    """Lengths of its edges."""
+    tool_may_touch: bool = False
+    """True for what the plug is meant to meet."""
+
+
+class ArmConfig(Section):
+    """The Universal Robots arm."""
+
+    model: str = "ur10e"
+    host: str = "192.168.0.10"
+    serial: str | None = None
+    T_flange_tcp: PoseConfig = PoseConfig()
+    payload_kg: Annotated[float, Field(ge=0, le=30)] = 3.0
+    centre_of_gravity_mm: Vector3 = (0.0, 0.0, 80.0)
+    frequency_hz: Literal[125, 500] = 500
+    watchdog_hz: Annotated[float, Field(ge=0.2, le=50)] = 10.0
+    freshness_ms: Annotated[float, Field(ge=20, le=5000)] = 200.0
+    upper_registers: bool = False
+    """Use RTDE registers 24 and up, where a fieldbus owns the lower ones (PolyScope below 5.23)."""
+    stop_running_program: bool = False
+    """Whether another program that is found running may be stopped."""
+    workspace_min_mm: Vector3 = (-1300.0, -1300.0, -300.0)
+    workspace_max_mm: Vector3 = (1300.0, 1300.0, 1300.0)
+    joint_min_deg: Joints = (-360.0,) * 6
+    joint_max_deg: Joints = (360.0,) * 6
+    least_singular_value: Annotated[float, Field(ge=0, le=0.5)] = 0.02
+    """Straight lines that come nearer to a singularity (smallest singular value of the Jacobian) are refused."""
+    tool_radius_mm: Annotated[float, Field(gt=0, le=500)] = 50.0
+    """Of a capsule around the tool from flange to TCP."""
+    least_clearance_mm: Annotated[float, Field(ge=0, le=500)] = 0.0
+    """Between the arm's capsules, which are generous already, and themselves and every box."""
+    boxes: tuple[BoxConfig, ...] = ()
+    """What the arm must keep clear of: pedestal, wall, charger."""

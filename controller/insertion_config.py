@@ -1,0 +1,90 @@
+"""The last centimetres as configuration: forces, speeds and bounds of contact, push, search and withdrawal.
+
+One set holds for every port; ``per_port`` changes values for a port type by its name.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Any
+
+from pydantic import Field, field_serializer
+
+from controller.config_section import Section
+
+
+class InsertionValues(Section):
+    """One set of parameters."""
+
+    # contact search
+    contact_speed_mm_s: Annotated[float, Field(gt=0, le=20)] = 10.0
+    contact_force_n: Annotated[float, Field(gt=0, le=50)] = 10.0
+    contact_within_mm: Annotated[float, Field(gt=0, le=50)] = 10.0
+    """Contact must come before the plug's face is this far behind the rim plane."""
+    entered_mm: Annotated[float, Field(gt=0, le=20)] = 3.0
+    """Deeper than this without contact force, the plug is on its way in: there is nothing to search."""
+
+    # compliant push
+    push_force_n: Annotated[float, Field(gt=0, le=100)] = 60.0
+    speed_limit_mm_s: Annotated[float, Field(gt=0, le=20)] = 15.0
+    lateral_speed_limit_mm_s: Annotated[float, Field(gt=0, le=20)] = 10.0
+    tilt_speed_limit_deg_s: Annotated[float, Field(gt=0, le=5)] = 3.0
+    max_axial_force_n: Annotated[float, Field(gt=0, le=150)] = 80.0
+    max_lateral_force_n: Annotated[float, Field(gt=0, le=100)] = 30.0
+    max_moment_nm: Annotated[float, Field(gt=0, le=20)] = 6.0
+    overload_samples: Annotated[int, Field(ge=1, le=100)] = 3
+    """So many samples in a row above a cap make an overload: a single one is noise."""
+    seated_within_mm: Annotated[float, Field(gt=0, le=5)] = 1.0
+    plateau_s: Annotated[float, Field(gt=0, le=5)] = 0.3
+    progress_mm: Annotated[float, Field(gt=0, le=5)] = 0.3
+    """Less depth than this within ``stall_s`` is no progress."""
+    stall_s: Annotated[float, Field(gt=0, le=10)] = 1.0
+
+    # jam: no progress under this much lateral force or moment
+    jam_lateral_n: Annotated[float, Field(gt=0, le=100)] = 12.0
+    jam_moment_nm: Annotated[float, Field(gt=0, le=20)] = 2.0
+    jam_retries: Annotated[int, Field(ge=0, le=5)] = 1
+    """How often a jammed plug is eased and pushed again."""
+    jam_relief_mm: Annotated[float, Field(gt=0, le=10)] = 1.5
+    """How far it is eased back."""
+
+    # search when the push stalls
+    search_radius_mm: Annotated[float, Field(gt=0, le=5)] = 2.0
+    search_pitch_mm: Annotated[float, Field(gt=0, le=3)] = 0.8
+    """Distance between neighbouring turns of the spiral."""
+    search_speed_mm_s: Annotated[float, Field(gt=0, le=5)] = 1.8
+    search_roll_deg: Annotated[float, Field(ge=0, le=5)] = 1.0
+    """The plug is turned to and fro about its axis by this much while it searches."""
+    search_roll_period_s: Annotated[float, Field(ge=0.5, le=20)] = 3.0
+    search_push_n: Annotated[float, Field(gt=0, le=60)] = 15.0
+    """Axial push while searching: enough to fall in, little enough to slide."""
+    search_force_n: Annotated[float, Field(gt=0, le=25)] = 12.0
+    search_gain_mm: Annotated[float, Field(gt=0, le=10)] = 1.0
+    """Depth gained while searching that counts as having found the way in."""
+    search_s: Annotated[float, Field(gt=0, le=60)] = 15.0
+
+    # pulling out, also after an insertion that failed
+    withdraw_start_force_n: Annotated[float, Field(gt=0, le=100)] = 25.0
+    """The pull begins with this and grows only while nothing moves."""
+    withdraw_step_n: Annotated[float, Field(gt=0, le=50)] = 15.0
+    withdraw_force_n: Annotated[float, Field(gt=0, le=100)] = 70.0
+    withdraw_speed_mm_s: Annotated[float, Field(gt=0, le=50)] = 25.0
+    clear_mm: Annotated[float, Field(gt=0, le=20)] = 4.0
+    """The plug's face this far in front of the rim plane counts as out."""
+
+
+class InsertionConfig(InsertionValues):
+    """What happens within the last centimetres."""
+
+    per_port: dict[str, InsertionValues] = Field(default_factory=dict)
+    """Values that differ for a port type, by the port's name."""
+
+    def on(self, port: str) -> InsertionConfig:
+        """The values for a port, by its name."""
+        special = self.per_port.get(port)
+        if special is None:
+            return self
+        return self.model_copy(update={key: getattr(special, key) for key in special.model_fields_set})
+
+    @field_serializer("per_port")
+    def _only_what_differs(self, per_port: dict[str, InsertionValues]) -> dict[str, dict[str, Any]]:
+        return {port: values.model_dump(exclude_unset=True) for port, values in per_port.items()}
