@@ -190,6 +190,13 @@ class Cell:
         except PortdockError as error:
             raise self.explained(FaultCode.ARM_NOT_READY, error.cause) from error
 
+    def restore_links(self) -> None:
+        """For an operator's reset: what was lost is opened again. Raises DriverError; the arm does not move."""
+        if not self.scanner.health().up:
+            self.scanner.close()
+            self.scanner.open()
+        self.arm.recover()
+
     def enter(self, state: State, stay_s: float | None) -> None:
         """Tell supervisor and gate that the mission is in ``state`` now."""
         self.supervisor.enter(state, stay_s)

@@ -24,6 +24,7 @@ class FaultCode(enum.Enum):
     NOT_MATED = "not-mated"
     NOT_CHARGING = "not-charging"
     PLUG_INSERTED_AT_START = "plug-inserted-at-start"
+    AXIS_UNKNOWN = "axis-unknown"
     RELEASE_FAILED = "release-failed"
     WITHDRAWAL_BLOCKED = "withdrawal-blocked"
     FORCE_LIMIT = "force-limit"
@@ -38,6 +39,7 @@ class FaultCode(enum.Enum):
     CHARGER_REJECTED = "charger-rejected"
     DEADLINE = "deadline"
     ABORTED = "aborted"
+    RESET_REFUSED = "reset-refused"
     GATE_REFUSED = "gate-refused"
     MOTION_FAILED = "motion-failed"
     SUPERVISOR_STALLED = "supervisor-stalled"
@@ -52,7 +54,8 @@ REMEDIES: dict[FaultCode, str] = {
     FaultCode.INSERTION_BLOCKED: "Look into the port for an obstacle; compare the contact offsets in the report.",
     FaultCode.NOT_MATED: "Check the plug's proximity contact and latch.",
     FaultCode.NOT_CHARGING: "See the charger's own fault code and the car's display.",
-    FaultCode.PLUG_INSERTED_AT_START: "Run an undock, or take the plug out by hand, then reset.",
+    FaultCode.PLUG_INSERTED_AT_START: "Run `portdock undock`, or take the plug out by hand, then `portdock reset`.",
+    FaultCode.AXIS_UNKNOWN: "Take the plug out by hand (freedrive), move the arm clear of the vehicle, then reset.",
     FaultCode.RELEASE_FAILED: "Unlock the plug at the car or charger; never pull while the contactor is closed.",
     FaultCode.WITHDRAWAL_BLOCKED: "Unlock the plug by hand and free it; the arm will not pull harder by itself.",
     FaultCode.FORCE_LIMIT: "Check plug and port for damage before the next attempt.",
@@ -67,6 +70,7 @@ REMEDIES: dict[FaultCode, str] = {
     FaultCode.CHARGER_REJECTED: "See the charger's state in the report; reset the charger.",
     FaultCode.DEADLINE: "See in the report which state took too long, and what it waited for.",
     FaultCode.ABORTED: "Reset when the reason for the abort is gone.",
+    FaultCode.RESET_REFUSED: "Remove what is named, then reset again.",
     FaultCode.GATE_REFUSED: "See the refused command in the report; check limits and site geometry.",
     FaultCode.MOTION_FAILED: "See the arm's message; check reach, joint limits and payload.",
     FaultCode.SUPERVISOR_STALLED: "The host was too busy or suspended; check its load, then reset.",
@@ -118,7 +122,35 @@ class MissionFault(PortdockError):
         super().__init__(str(self.fault), remedy=self.fault.remedy)
 
 
-OutcomeKind = Literal["charged", "refused", "intervention-needed", "fault", "stopped"]
+NEEDS_A_PERSON = frozenset(
+    {
+        FaultCode.INSERTION_BLOCKED,
+        FaultCode.FORCE_LIMIT,
+        FaultCode.NOT_MATED,
+        FaultCode.NOT_CHARGING,
+        FaultCode.PLUG_INSERTED_AT_START,
+        FaultCode.AXIS_UNKNOWN,
+        FaultCode.RELEASE_FAILED,
+        FaultCode.WITHDRAWAL_BLOCKED,
+    }
+)
+"""Faults that leave plug, port or lock in a state that somebody has to look at: the outcome is intervention-needed."""
+
+OutcomeKind = Literal[
+    "charged",
+    "charging",
+    "undocked",
+    "already-docked",
+    "already-undocked",
+    "ready",
+    "refused",
+    "intervention-needed",
+    "fault",
+    "stopped",
+]
+DONE: frozenset[OutcomeKind] = frozenset(
+    {"charged", "charging", "undocked", "already-docked", "already-undocked", "ready"}
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,4 +163,9 @@ class Outcome:
     @property
     def ok(self) -> bool:
         """Whether the mission did what was asked."""
-        return self.kind == "charged"
+        return self.kind in DONE
+
+    @staticmethod
+    def of(fault: Fault) -> Outcome:
+        """How a mission ends that latched this fault."""
+        return Outcome("intervention-needed" if fault.code in NEEDS_A_PERSON else "fault", fault)

@@ -85,7 +85,7 @@ def _arm_fault(arm: ArmState, state: State) -> Fault | None:
 def _charger_fault(charger: ChargerStatus, state: State) -> Fault | None:
     if charger.estop or charger.state is ChargerState.ESTOP:
         return Fault(FaultCode.EMERGENCY_STOP, "pressed at the charger")
-    if charger.state is ChargerState.FAULT:
+    if charger.state is ChargerState.FAULT and state is not State.SELF_CHECK:  # which looks for a plug first
         return Fault(FaultCode.CHARGER_FAULT, f"charger fault code {charger.fault_code}")
     if charger.motion_inhibit and state in MOVING_STATES:
         return Fault(FaultCode.CHARGER_FAULT, "the charger inhibits motion")

@@ -50,6 +50,11 @@ class DockPlan:
         """How far the plug's front face is behind the rim plane."""
         return -float((self.T_base_port.inverse() @ T_base_tcp).translation[2])
 
+    def lateral_m(self, T_base_tcp: Pose) -> float:
+        """How far beside the insertion axis the TCP is."""
+        offset = (self.T_base_port.inverse() @ T_base_tcp).translation - self.T_port_tcp_mated.translation
+        return float(np.hypot(offset[0], offset[1]))
+
     @property
     def mated_depth_m(self) -> float:
         """Depth at which the plug is home."""
@@ -76,16 +81,21 @@ def plan_dock(estimate: PortEstimate, T_port_tcp_mated: Pose, motion: MotionConf
     if estimate.ref != "base":
         raise PlanRefusedError("the port's pose is not in the base frame", remedy="Join the scan with the arm's poses.")
     T_base_port = estimate.T_ref_port
-    plan = DockPlan(
+    plan = plan_on_axis(T_base_port, T_port_tcp_mated, motion)
+    if why := reach([plan.retreat, plan.pre_contact, plan.mated]):
+        raise PlanRefusedError(f"the arm cannot follow the approach: {why}")
+    return plan
+
+
+def plan_on_axis(T_base_port: Pose, T_port_tcp_mated: Pose, motion: MotionConfig) -> DockPlan:
+    """The poses of a docking on a port whose pose is known, or was when its axis was stored."""
+    return DockPlan(
         T_base_port=T_base_port,
         T_port_tcp_mated=T_port_tcp_mated,
         pre_contact=T_base_port @ _on_axis(T_port_tcp_mated, motion.pre_contact_mm / 1000.0),
         mated=T_base_port @ T_port_tcp_mated,
         retreat=T_base_port @ _on_axis(T_port_tcp_mated, motion.retreat_mm / 1000.0),
     )
-    if why := reach([plan.retreat, plan.pre_contact, plan.mated]):
-        raise PlanRefusedError(f"the arm cannot follow the approach: {why}")
-    return plan
 
 
 def _on_axis(T_port_tcp: Pose, height_m: float) -> Pose:

@@ -31,6 +31,7 @@ from controller.reports.mission import write_report
 from controller.scanner_facts import scanner_facts
 from controller.summary import ContactSummary, LocateSummary, MissionSummary
 from controller.supervisor import Sources, Supervisor
+from controller.task import Goal, Progress
 from drivers.base import MonotonicClock
 from perception.errors import PortdockError
 from perception.estimate import PortEstimate
@@ -60,6 +61,12 @@ class MissionWatcher:
     """(state, mission time of its entry)."""
     ended_s: float = 0.0
     attempts: int = 0
+
+    def began(self, goal: Goal) -> None:
+        """The recording began with the process."""
+
+    def ended(self, outcome: Outcome, job: Progress) -> None:
+        """The recording is closed with the process."""
 
     def transition(self, source: str, event: str, target: str, time_s: float) -> None:
         self.passed.append((target, time_s))

@@ -75,8 +75,8 @@ PROCEDURE: dict[tuple[State, Event], State] = {
     (_S.OFFLINE, _E.STARTED): _S.SELF_CHECK,
     (_S.SELF_CHECK, _E.CHECKS_PASSED): _S.READY,
     (_S.SELF_CHECK, _E.CHARGING_FOUND): _S.CHARGING,
+    (_S.SELF_CHECK, _E.UNDOCK_REQUESTED): _S.RELEASING,
     (_S.READY, _E.DOCK_REQUESTED): _S.STAGING,
-    (_S.READY, _E.UNDOCK_REQUESTED): _S.RELEASING,
     (_S.STAGING, _E.AT_STAGING): _S.SCANNING,
     (_S.SCANNING, _E.SCAN_COMPLETE): _S.LOCATING,
     (_S.LOCATING, _E.LOCATED): _S.APPROACHING,
@@ -127,6 +127,9 @@ TRANSITIONS: MappingProxyType[tuple[State, Event], State] = MappingProxyType(
     PROCEDURE | PAUSES | STOPS | SHUT_DOWNS | LATCHES
 )
 """(state, event) -> next state. A pair that is not listed leaves the state unchanged."""
+
+RESTING = frozenset({_S.OFFLINE, _S.READY, _S.FAULT})
+"""Nothing is under way in these; every other state has a deadline (``deadlines`` in the configuration)."""
 
 IN_CONTACT = frozenset({_S.INSERTING, _S.VERIFYING, _S.CHARGING, _S.RELEASING, _S.RETREATING})
 """States in which the plug may be in the port."""

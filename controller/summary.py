@@ -8,9 +8,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
 
-MissionOutcome = Literal["charged", "refused", "intervention-needed", "fault", "stopped"]
+from controller.faults import OutcomeKind as MissionOutcome
 
 
 @dataclass(frozen=True, slots=True)

@@ -67,8 +67,16 @@ class _Request:
 class Supervisor:
     """Runs the tick in its own thread from ``start`` to ``close``."""
 
-    def __init__(self, sources: Sources, mission_clock: Clock, wall_clock: Clock, stall_s: float = 0.5) -> None:
-        """``stall_s``: a tick later than this trips what moves."""
+    def __init__(
+        self,
+        sources: Sources,
+        mission_clock: Clock,
+        wall_clock: Clock,
+        stall_s: float = 0.5,
+        alive: Callable[[], None] = lambda: None,
+    ) -> None:
+        """``stall_s``: a tick later than this trips what moves. ``alive`` is told with every heartbeat (systemd)."""
+        self._alive = alive
         self._stall_s = stall_s
         self._sources = sources
         self._clock = mission_clock
@@ -121,6 +129,10 @@ class Supervisor:
         self._request.abort = True
         self._wake.set()
 
+    def clear_stop(self) -> None:
+        """A stop has been carried out, or there was nothing to stop."""
+        self._request.stop = False
+
     def reset(self) -> None:
         """An operator's reset: forget the latched trip and old requests."""
         with self._changed:
@@ -165,6 +177,12 @@ class Supervisor:
                     return False
                 self._changed.wait(timeout=0.1)
 
+    def idle(self, until: Callable[[], bool]) -> None:
+        """Wait for ``until``, looked at each tick, whatever is latched: for FAULT, which only a person ends."""
+        with self._changed:
+            while not until():
+                self._changed.wait(timeout=0.1)
+
     def wait_ticks(self, count: int) -> None:
         """Wait until ``count`` further ticks have looked at everything. Raises MissionFault as soon as one trips."""
         with self._changed:
@@ -198,6 +216,7 @@ class Supervisor:
             self._kick_watchdog()
         if self._ticks % HEARTBEAT_EVERY == 0:
             self._send_heartbeat(seen)
+            self._alive()
         self._ticks += 1
         with self._changed:
             self._seen = seen

@@ -22,6 +22,7 @@ from controller.pace import PacedClock
 from controller.planning import FACING
 from controller.safety import Limits
 from controller.supervisor import Sources, Supervisor
+from controller.task import Goal, Progress
 from drivers.base import (
     ArmState,
     ChargerRequest,
@@ -65,6 +66,7 @@ class StandInArm:
         self.kicks = 0
         self.motion_fails = False
         self.recoveries = 0
+        self.stuck = False
         self._velocity = np.zeros(3)
         self._push_n = 0.0
         self._last_s = CLOCK.now_s()
@@ -153,6 +155,8 @@ class StandInArm:
         now_s = CLOCK.now_s()
         travel_m = self._velocity * (now_s - self._last_s) * PACE
         self._last_s = now_s
+        if self.stuck:
+            return
         depth_m = self.depth_m
         going_in = -float(self.T_base_port.inverse().rotate(travel_m)[2])
         if depth_m + going_in > self.stop_depth_m and going_in > 0:
@@ -168,6 +172,8 @@ class StandInCharger:
         self.lost = False
         self.lock_jams = False
         self.gives_current = True
+        self.full = False
+        self.welded = False
         self.forced: dict[str, object] = {}
         self.requests: list[ChargerRequest] = []
         self.beats: list[Heartbeat] = []
@@ -183,14 +189,15 @@ class StandInCharger:
             raise LinkLostError("the charger is silent")
         now_s = CLOCK.now_s()
         inserted = self._arm.depth_m > MATED_DEPTH_M - 0.002
-        flowing = self._power and self.gives_current
+        flowing = self._power and self.gives_current and not self.full
+        finished = self.full and inserted
         status = ChargerStatus(
             time_s=now_s,
-            state=ChargerState.CHARGING if flowing else ChargerState.READY,
+            state=ChargerState.CHARGING if flowing else ChargerState.FINISHED if finished else ChargerState.READY,
             proximity=Proximity.LATCHED if inserted else Proximity.ABSENT,
             pilot=Pilot.C if flowing else Pilot.A,
             lock=self._lock,
-            contactor_closed=self._power,
+            contactor_closed=(self._power and not finished) or self.welded,
             dock_enable=True,
             motion_inhibit=False,
             estop=False,
@@ -304,11 +311,19 @@ class Watch:
 
     states: list[str] = field(default_factory=list)
     insertions: list[Insertion] = field(default_factory=list)
+    goals: list[Goal] = field(default_factory=list)
+    outcomes: list[Outcome] = field(default_factory=list)
     on_state: Callable[[str], None] = lambda state: None
 
     def transition(self, source: str, event: str, target: str, time_s: float) -> None:
         self.states.append(target)
         self.on_state(target)
+
+    def began(self, goal: Goal) -> None:
+        self.goals.append(goal)
+
+    def ended(self, outcome: Outcome, job: Progress) -> None:
+        self.outcomes.append(outcome)
 
     def progress(self, label: str, fraction: float, detail: str) -> None: ...
     def scan(self, cloud: Cloud) -> None: ...
@@ -327,6 +342,35 @@ class Decisions:
     def command(self, name: str, detail: str, allowed: bool, reason: str) -> None:
         if not allowed:
             self.refused.append(f"{name}: {reason}")
+
+
+class Script:
+    """A desk that hands out jobs in turn and leaves after the last; between two jobs a test may look and act."""
+
+    def __init__(self, *jobs: Goal | Callable[[], None]) -> None:
+        self._jobs = list(jobs)
+        self.outcomes: list[Outcome] = []
+
+    def _next(self) -> Goal | None:
+        while self._jobs and not isinstance(self._jobs[0], Goal):
+            self._jobs.pop(0)()  # type: ignore[operator]
+        return self._jobs[0] if self._jobs else None  # type: ignore[return-value]
+
+    @property
+    def pending(self) -> Goal | None:
+        return self._next()
+
+    @property
+    def leaving(self) -> bool:
+        return self._next() is None
+
+    def take(self) -> Goal:
+        goal = self._jobs.pop(0)
+        assert isinstance(goal, Goal)
+        return goal
+
+    def answered(self, outcome: Outcome) -> None:
+        self.outcomes.append(outcome)
 
 
 class Rig:
@@ -367,8 +411,14 @@ class Rig:
             records=self.decisions,
         )
         T_port_tcp = Pose(FACING, np.array([0.0, 0.0, -MATED_DEPTH_M]))
-        self.mission = Mission(self.cell, self.config, T_port_tcp, self.watch, folder)
-        self.mission.looking = StandInLooking(self.cell, self.config, accepted or [True])  # type: ignore[assignment]
+        self.mission = Mission(
+            self.cell,
+            self.config,
+            T_port_tcp,
+            self.watch,
+            folder,
+            lambda: StandInLooking(self.cell, self.config, accepted or [True]),  # type: ignore[arg-type, return-value]
+        )
 
     def run(self) -> Outcome:
         """Run to the end; the supervisor ticks meanwhile."""
@@ -377,6 +427,16 @@ class Rig:
             return self.mission.run()
         finally:
             self.supervisor.close()
+
+    def serve(self, *jobs: Goal | Callable[[], None]) -> list[Outcome]:
+        """What the daemon does: one job after the other; then the process leaves."""
+        script = Script(*jobs)
+        self.supervisor.start()
+        try:
+            self.mission.serve(script)
+        finally:
+            self.supervisor.close()
+        return script.outcomes
 
     def at(self, state: str, act: Callable[[], None]) -> None:
         """Do something at the first entry of a state."""
