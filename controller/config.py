@@ -29,23 +29,31 @@ class PortConfig(Section):
     T_base_port: PoseConfig = PoseConfig()
     """Where the port is when the car stands as it should."""
     lateral_mm: Annotated[float, Field(gt=0, le=200)] = 40.0
+    """How far sideways of its expected place the port may be."""
     along_mm: Annotated[float, Field(gt=0, le=200)] = 30.0
+    """How much nearer or farther than expected it may be."""
     tilt_deg: Annotated[float, Field(gt=0, le=45)] = 20.0
+    """How far its axis may point elsewhere than expected."""
     roll_deg: Annotated[float, Field(gt=0, le=180)] = 15.0
+    """How far it may be turned about its axis."""
 
 
 class ViewpointConfig(Section):
     """From where a sweep looks at the port: rotated about the port's axes."""
 
     pitch_deg: Annotated[float, Field(ge=-40, le=40)] = 0.0
+    """About the port's x axis."""
     yaw_deg: Annotated[float, Field(ge=-40, le=40)] = 0.0
+    """About the port's y axis."""
 
 
 class ScanConfig(Section):
     """How a sweep is made."""
 
     standoff_mm: Annotated[float, Field(ge=50, le=1000)] = 290.0
+    """Distance of the scanner from the port plane while it sweeps."""
     length_mm: Annotated[float, Field(ge=20, le=500)] = 180.0
+    """Way of the sweep, acceleration not counted."""
     width_mm: Annotated[float, Field(gt=0, le=500)] | None = None
     """Across the sweep. None: the port's own width and ``margin_mm`` on both sides."""
     margin_mm: Annotated[float, Field(ge=0, le=100)] = 15.0
@@ -55,50 +63,70 @@ class ScanConfig(Section):
     step_mm: Annotated[float, Field(ge=0.1, le=10)] = 1.0
     """Between two stops of a sweep with ``scanner.sync: stop_and_go``."""
     speed_mm_s: Annotated[float, Field(gt=0, le=100)] = 35.0
+    """Speed of the sweep."""
     acceleration_mm_s2: Annotated[float, Field(gt=0, le=2000)] = 200.0
+    """Acceleration of the sweep."""
     centre_mm: tuple[float, float] = (0.0, -18.0)
     """Centre of the sweep in the port's plane (x, y)."""
     min_points: Annotated[int, Field(ge=100, le=1_000_000)] = 5000
+    """A sweep with fewer points is not tried."""
     viewpoints: Annotated[tuple[ViewpointConfig, ...], Field(min_length=1, max_length=6)] = (
         ViewpointConfig(),
         ViewpointConfig(pitch_deg=12.0),
         ViewpointConfig(yaw_deg=12.0),
     )
+    """Where a mission looks from, one after the other, until a scan is accepted."""
 
 
 class ChargerConfig(Section):
     """The charger on CAN."""
 
     interface: str = "slcan"
+    """python-can interface: slcan, socketcan, virtual or any other that is installed."""
     channel: str = "/dev/serial/by-id/can-adapter"
+    """The interface's channel: a serial device, or a network such as can0."""
     bitrate_bps: Annotated[int, Field(ge=10_000, le=1_000_000)] = 250_000
+    """Bit rate of the bus. With socketcan the network sets it, not portdock."""
     dbc: str | None = None
+    """A supplier's own DBC with the same signal names. None: the bundled one."""
     protection: Literal["none", "counter", "j1850", "e2e-p11", "e2e-p5"] = "e2e-p11"
+    """End-to-end protection of portdock's frames: counter and checksum inside the data."""
     accept_unprotected_can: bool = False
+    """Must be true for `protection: none`."""
     degraded_ms: Annotated[float, Field(ge=100, le=5000)] = 150.0
+    """A charger silent for so long degrades the link: no new motion."""
     lost_ms: Annotated[float, Field(ge=150, le=5000)] = 250.0
+    """A charger silent for so long is lost."""
 
 
 class MotionConfig(Section):
     """Speeds and accelerations in free space."""
 
     joint_speed_deg_s: Annotated[float, Field(gt=0, le=90)] = 40.0
+    """Of the fastest joint on the way to staging."""
     joint_acceleration_deg_s2: Annotated[float, Field(gt=0, le=400)] = 80.0
+    """Of the fastest joint."""
     linear_speed_mm_s: Annotated[float, Field(gt=0, le=250)] = 80.0
+    """Of the tool on straight ways in free space."""
     approach_speed_mm_s: Annotated[float, Field(gt=0, le=100)] = 50.0
+    """Of the plug on its way to the pre-contact point."""
     acceleration_mm_s2: Annotated[float, Field(gt=0, le=2000)] = 300.0
+    """Of the tool on straight ways."""
     pre_contact_mm: Annotated[float, Field(ge=5, le=200)] = 30.0
     """Gap between plug and rim plane where the guarded motion starts."""
     retreat_mm: Annotated[float, Field(ge=20, le=400)] = 90.0
+    """How far the plug backs off the rim plane in the end."""
 
 
 class MissionConfig(Section):
     """Attempts and what a mission waits for."""
 
     max_attempts: Annotated[int, Field(ge=1, le=5)] = 3
+    """Docking attempts of one mission."""
     charge_s: Annotated[float, Field(ge=0, le=1_000_000)] = 5.0
     """How long current must flow before the mission counts as charged and, in a dry run, ends."""
     min_charge_current_a: Annotated[float, Field(gt=0, le=500)] = 2.0
+    """Less is not charging."""
     on_final_failure: Literal["retreat", "hold"] = "retreat"
     """After the last failed attempt. ``retreat``: back out along the inserted axis. ``hold``: stand still, force mode
     off, until a person comes."""
@@ -110,16 +138,27 @@ class DeadlinesConfig(Section):
     """The longest stay in each state. In a dry run with --fast they count emulated time."""
 
     self_check_s: Annotated[float, Field(gt=0, le=600)] = 30.0
+    """Self check."""
     staging_s: Annotated[float, Field(gt=0, le=600)] = 40.0
+    """Way to staging."""
     scanning_s: Annotated[float, Field(gt=0, le=600)] = 60.0
+    """One sweep."""
     locating_s: Annotated[float, Field(gt=0, le=600)] = 120.0
+    """Locating the port in one scan."""
     approaching_s: Annotated[float, Field(gt=0, le=600)] = 40.0
+    """Approach."""
     inserting_s: Annotated[float, Field(gt=0, le=600)] = 60.0
+    """Contact, push and search."""
     verifying_s: Annotated[float, Field(gt=0, le=600)] = 15.0
+    """Proof of mating."""
     charging_s: Annotated[float, Field(gt=0, le=1_000_000)] = 100_000.0
+    """Charging."""
     releasing_s: Annotated[float, Field(gt=0, le=600)] = 30.0
+    """Power off, unlock, unplug."""
     retreating_s: Annotated[float, Field(gt=0, le=600)] = 40.0
+    """Retreat."""
     hold_s: Annotated[float, Field(gt=0, le=36_000)] = 300.0
+    """A hold; after it the mission ends."""
 
 
 class HostConfig(Section):
@@ -133,13 +172,16 @@ class RecordingConfig(Section):
     """Where missions are recorded."""
 
     folder: str = "portdock-runs"
+    """Where each mission gets a folder of its own."""
     keep_mb: Annotated[float, Field(gt=1, le=1_000_000)] = 2000.0
+    """Oldest recordings are removed while all of them together are larger."""
 
 
 class SiteConfig(Section):
     """Everything a site can set."""
 
     site: str = "unnamed"
+    """Name of the site, as it stands in recordings and reports."""
     port: PortConfig = PortConfig()
     scan: ScanConfig = ScanConfig()
     scanner: ScannerConfig = ScannerConfig()

@@ -86,8 +86,13 @@ class MockCell:
         self._stop()
 
     def _scanner_options(self) -> list[str]:
-        shared = self._base.scanner.sync == "shared_clock"
-        return [*PROFILE_RATE, "--clock-offset-s", "0" if shared else "100"]
+        scanner = self._base.scanner
+        shared = scanner.sync == "shared_clock"
+        options = [*PROFILE_RATE, "--clock-offset-s", "0" if shared else "100", "--protocol", scanner.protocol]
+        if scanner.protocol == "profiler2":
+            options += ["--reference-m", f"{scanner.profiler2.reference_mm / 1000.0:g}"]
+            options += ["--address-in-words"] if scanner.profiler2.address_in_words else []
+        return options
 
     def _charger_options(self) -> list[str]:
         """Where the mock charger is reached, and the contract as the site has it."""

@@ -44,6 +44,7 @@ def join(
     time_scale: float = 1.0,
     max_lost_share: float = MAX_LOST_SHARE,
     shared_clock: bool = False,
+    clock_period_s: float | None = None,
 ) -> Scan:
     """The scan that profiles and arm samples make together.
 
@@ -54,6 +55,7 @@ def join(
         half the exposure, wire time and what calibration found. In the device's seconds
     :param arm_latency_s: the same for an arm sample
     :param shared_clock: scanner and arm stamp by one clock: no fit over the host's is needed, delays do not matter
+    :param clock_period_s: with a shared clock: the scanner's stamps start again after so long, the arm's do not
     :param time_scale: device seconds per host second: not 1 only where mocks run faster than the wall clock
     :raises SweepError: too few or too many lost profiles, no arm samples, or a clock that jumps
     """
@@ -61,7 +63,7 @@ def join(
         raise SweepError(f"{len(arm_states)} arm samples are too few to place profiles by")
     if shared_clock:
         kept_arm, arm_s = _growing(arm_states)
-        times_s = _device_times(profiles)
+        times_s = _same_period(_device_times(profiles), profiles, arm_states, clock_period_s)
     else:
         kept_arm, arm_s = _arm_times(arm_states, arm_latency_s, 1.0 / time_scale)
         times_s = _profile_times(profiles, latency_s, 1.0 / time_scale)
@@ -94,6 +96,21 @@ def _device_times(profiles: Sequence[Profile]) -> Array:
     if len(device_s) < len(profiles):
         raise SweepError("the scanner sends no time stamps", remedy="Set scanner.sync: timestamp in the site file.")
     return np.array(device_s)
+
+
+def _same_period(
+    device_s: Array, profiles: Sequence[Profile], states: Sequence[ArmState], period_s: float | None
+) -> Array:
+    """The scanner's times (N,) in the arm's count: whole periods further on, as the times of arrival tell."""
+    if period_s is None or not len(device_s):
+        return device_s
+    at_arrival_s = np.interp(
+        [profile.time_s for profile in profiles],
+        [state.time_s for state in states],
+        [state.device_time_s for state in states],
+    )
+    periods = np.round(float(np.median(at_arrival_s - device_s)) / period_s)
+    return np.asarray(device_s + periods * period_s)
 
 
 def _growing(states: Sequence[ArmState]) -> tuple[list[ArmState], Array]:

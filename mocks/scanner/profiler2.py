@@ -25,6 +25,8 @@ POINTS = 832
 NO_MEASUREMENT = 0x7FFF
 TURN_AROUND_S = 0.0015
 GIVE_UP_S = 2.0
+LOOK_BACK = (0, 1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64, 96, 128, 192, 256, 384, 512, 768, 1024)
+"""Exposures before the newest one that are tried."""
 UNKNOWN, PARAMETER, INCOMPLETE, CHECKSUM, FRAMING, COLLISION = 0xE001, 0xE002, 0xE003, 0xE004, 0xE005, 0xE007
 
 
@@ -71,6 +73,7 @@ class Profiler2Device:
         self._heard = b""
         self._heard_since_s = 0.0
         self._begun = False
+        self._number = -1
 
     def receive(self, data: bytes) -> None:
         """Bytes from the client."""
@@ -136,13 +139,17 @@ class Profiler2Device:
         return packet(0x0002, echo + b"".join(items))
 
     def _measure(self) -> None:
-        """Put the newest exposure into memory; the one before that is kept while the arm's pose is not yet known."""
+        """Put the newest exposure into memory of which the arm's pose is known; a busy computer knows it late."""
         if not self._begun:
             self._source.begin_sweep()
             self._begun = True
         newest = int(self._clock.now_s() * self._rate_hz)
-        for number in range(newest, max(-1, newest - 20), -1):
+        for back in LOOK_BACK:
+            number = newest - back
+            if number < 0 or number <= self._number:
+                return
             lines = self._source.lines(number, [number / self._rate_hz])
             if lines:
+                self._number = number
                 self._image = memory_image(lines[0], number / self._rate_hz, self._reference_m)
                 return

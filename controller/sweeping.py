@@ -1,0 +1,198 @@
+"""Ways to sweep: how the arm moves while the laser looks, and how each profile finds the pose it was taken from.
+
+``timestamp`` and ``shared_clock``: the arm moves on, poses are interpolated at the profiles' times (``sweep.join``).
+``stop_and_go``: the arm rests for each profile, so that times decide nothing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from controller.cell import Cell
+from controller.commands import Laser, MoveLinear
+from controller.config import SiteConfig
+from controller.faults import FaultCode, MissionFault
+from controller.planning import Viewpoint
+from controller.scanner_facts import scanner_facts
+from controller.sweep import MIN_PROFILES, SweepError, join
+from drivers.base import ArmState
+from perception.geometry import Pose
+from perception.scan import Profile, Scan
+
+FIRST_PROFILE_S = 5.0
+"""The laser is on, so a profile comes within this time; else the scanner is as good as lost."""
+TRAILING_S = 30.0
+"""How long profiles measured before the end of the motion may be on their way (a slow line, a busy host)."""
+CLOCK_HISTORY_S = 60.0
+"""Arm samples from before the sweep help to fit the arm's clock: the more, the more prompt ones are among them."""
+REST_S = 0.02
+"""After it stands by its own word the arm still swings a little: no profile from within this time counts."""
+STILL_M_S = 0.0005
+
+ProgressReport = Callable[[str, float, str], None]
+
+
+class Collector:
+    """Takes the scanner's profiles while it is waited for something, and tells how far the sweep is."""
+
+    def __init__(self, cell: Cell, passes: Sequence[Viewpoint], report: ProgressReport) -> None:
+        self._cell = cell
+        self._passes = passes
+        self._report = report
+        self.current = 0
+        """Number of the pass under way."""
+        self.profiles: list[Profile] = []
+
+    def collect(self) -> bool:
+        """Take what has come; whether anything has come yet."""
+        self.profiles.extend(self._cell.scanner.take())
+        if (state := self._cell.arm_state()) is not None:
+            done = self.current + _fraction(state.T_base_tcp, self._passes[self.current])
+            self._report("sweep", done / len(self._passes), f"{len(self.profiles)} profiles")
+        return bool(self.profiles)
+
+    def travel(self, target: Pose, config: SiteConfig) -> None:
+        """Straight to ``target`` at the sweep's speed, collecting. Raises MissionFault."""
+        cell, scan = self._cell, config.scan
+        cell.do(MoveLinear(target, scan.speed_mm_s / 1000.0, scan.acceleration_mm_s2 / 1000.0))
+        cell.supervisor.wait(lambda: self.collect() and not cell.arm.motion().running)
+        if cell.arm.motion().failed:
+            raise cell.explained(FaultCode.MOTION_FAILED, cell.arm.motion().detail)
+
+
+def run_sweep(cell: Cell, config: SiteConfig, passes: Sequence[Viewpoint], report: ProgressReport) -> Scan:
+    """Laser on, all passes, laser off whatever happens; the profiles with their poses.
+
+    :raises MissionFault: no profile comes, or the arm fails
+    :raises SweepError: the sweep cannot be used
+    """
+    collector = Collector(cell, passes, report)
+    way = _stop_and_go if config.scanner.sync == "stop_and_go" else _moving
+    began_s = cell.wall.now_s()
+    try:
+        cell.do(Laser(on=True))
+        if not cell.supervisor.wait(collector.collect, FIRST_PROFILE_S):
+            raise MissionFault(FaultCode.SCAN_FAILED, "the laser is on but no profile comes")
+        join_up = way(cell, config, passes, collector, began_s)
+    finally:
+        cell.do(Laser(on=False))
+    return join_up()
+
+
+def _moving(
+    cell: Cell, config: SiteConfig, passes: Sequence[Viewpoint], collector: Collector, began_s: float
+) -> Callable[[], Scan]:
+    """Each pass at constant speed; poses by time."""
+    states: list[ArmState] = cell.arm.history(began_s - CLOCK_HISTORY_S)
+    for number, view in enumerate(passes):
+        collector.current = number
+        if number:
+            collector.travel(view.T_base_tcp_start, config)
+        collector.travel(view.T_base_tcp_end, config)
+        states += cell.arm.history(states[-1].time_s if states else began_s)
+    profiles = collector.profiles
+    seen_s = _device_time_at(cell.wall.now_s(), profiles, cell.time_scale)
+    cell.supervisor.wait(lambda: collector.collect() and _newest_s(profiles) >= seen_s, TRAILING_S)
+    states += cell.arm.history(states[-1].time_s if states else began_s)
+    scanner = config.scanner
+    return lambda: join(
+        profiles,
+        states,
+        scanner.T_flange_scanner.pose,
+        latency_s=cell.profile_latency_s,
+        time_scale=cell.time_scale,
+        max_lost_share=scanner.max_lost_profiles_percent / 100.0,
+        shared_clock=scanner.sync == "shared_clock",
+        clock_period_s=scanner_facts(scanner).clock_period_s,
+    )
+
+
+def _stop_and_go(
+    cell: Cell, config: SiteConfig, passes: Sequence[Viewpoint], collector: Collector, began_s: float
+) -> Callable[[], Scan]:
+    """One profile from each stop: the first that was surely taken at rest."""
+    taken: list[tuple[Profile, Pose]] = []
+    missed = 0
+    for number, view in enumerate(passes):
+        collector.current = number
+        for target in _stops(view, config.scan.step_mm / 1000.0):
+            collector.travel(target, config)
+            cell.settle(STILL_M_S, TRAILING_S)
+            profile, state = _at_rest(cell, collector), cell.arm_state()
+            if profile is None or state is None:
+                missed += 1
+            else:
+                taken.append((profile, state.T_base_flange))
+            collector.profiles.clear()
+    return lambda: _of_stops(taken, missed, config)
+
+
+def _at_rest(cell: Cell, collector: Collector) -> Profile | None:
+    """The first profile measured after now, None if none comes."""
+    resting_s = cell.wall.now_s() + REST_S / cell.time_scale
+    found: list[Profile] = []
+
+    def came() -> bool:
+        collector.collect()
+        delay_s = _least_delay_s(collector.profiles, cell.time_scale)
+        latency_s = cell.profile_latency_s / cell.time_scale
+        found[:] = [
+            profile
+            for profile in collector.profiles
+            if _measured_s(profile, delay_s, cell.time_scale) - latency_s >= resting_s
+        ]
+        return bool(found)
+
+    cell.supervisor.wait(came, FIRST_PROFILE_S)
+    return found[0] if found else None
+
+
+def _of_stops(taken: Sequence[tuple[Profile, Pose]], missed: int, config: SiteConfig) -> Scan:
+    lost = missed / max(1, missed + len(taken))
+    allowed = config.scanner.max_lost_profiles_percent / 100.0
+    if len(taken) < MIN_PROFILES or lost > allowed:
+        raise SweepError(f"{missed} of {missed + len(taken)} stops gave no profile (at most {allowed:.0%} allowed)")
+    profiles, poses = zip(*taken, strict=True)
+    return Scan(tuple(profiles), tuple(poses), config.scanner.T_flange_scanner.pose)
+
+
+def _stops(view: Viewpoint, step_m: float) -> list[Pose]:
+    """Poses from one end of a pass to the other, ``step_m`` apart or a little less."""
+    start, end = view.T_base_tcp_start, view.T_base_tcp_end
+    count = max(1, int(np.ceil(np.linalg.norm(end.translation - start.translation) / step_m)))
+    return [
+        Pose(start.rotation, start.translation + k / count * (end.translation - start.translation))
+        for k in range(count + 1)
+    ]
+
+
+def _least_delay_s(profiles: Sequence[Profile], time_scale: float) -> float:
+    """Host's time less the device's, of the promptest profile."""
+    differences = [p.time_s - p.device_time_s / time_scale for p in profiles if p.device_time_s is not None]
+    return min(differences, default=0.0)
+
+
+def _measured_s(profile: Profile, delay_s: float, time_scale: float) -> float:
+    """Host's time by which the profile was measured; its arrival where the device sends no time."""
+    return profile.time_s if profile.device_time_s is None else profile.device_time_s / time_scale + delay_s
+
+
+def _newest_s(profiles: Sequence[Profile]) -> float:
+    """Device time of the newest profile; profiles without one count as immediate."""
+    newest = profiles[-1].device_time_s
+    return float("inf") if newest is None else newest
+
+
+def _device_time_at(host_s: float, profiles: Sequence[Profile], time_scale: float) -> float:
+    """What the scanner's clock showed at a host time, counted from the first profile: good to its delay on the line."""
+    first = profiles[0]
+    return -float("inf") if first.device_time_s is None else first.device_time_s + (host_s - first.time_s) * time_scale
+
+
+def _fraction(T_base_tcp: Pose, view: Viewpoint) -> float:
+    """How much of a pass is done, 0 to 1."""
+    along = view.T_base_tcp_end.translation - view.T_base_tcp_start.translation
+    done = (T_base_tcp.translation - view.T_base_tcp_start.translation) @ along / (along @ along)
+    return float(np.clip(done, 0.0, 1.0))
