@@ -17,6 +17,7 @@ class BoxConfig(Section):
     """Something solid that stands still in the base frame."""
 
     name: Annotated[str, Field(min_length=1)]
+    """What it is, as errors name it."""
     T_base_box: PoseConfig = PoseConfig()
     """Pose of the box's centre."""
     size_mm: tuple[Size, Size, Size]
@@ -29,22 +30,35 @@ class ArmConfig(Section):
     """The Universal Robots arm."""
 
     model: str = "ur10e"
+    """ur3e, ur5e, ur10e, ur16e, ur20 or ur30; the robot found must be this one."""
     host: str = "192.168.0.10"
+    """Address of the robot controller."""
     serial: str | None = None
+    """Serial number that the robot must have. None: any."""
     T_flange_tcp: PoseConfig = PoseConfig()
+    """The plug's frame at the flange."""
     payload_kg: Annotated[float, Field(ge=0, le=30)] = 3.0
+    """Mass of plug, tool and the part of the cable that the arm carries."""
     centre_of_gravity_mm: Vector3 = (0.0, 0.0, 80.0)
+    """The payload's centre of gravity in the flange frame."""
     frequency_hz: Literal[125, 500] = 500
+    """Rate of the state link."""
     watchdog_hz: Annotated[float, Field(ge=0.2, le=50)] = 10.0
+    """The robot stops when kicks come more slowly than this."""
     freshness_ms: Annotated[float, Field(ge=20, le=5000)] = 200.0
+    """A state older than this is stale: no command is given."""
     upper_registers: bool = False
     """Use RTDE registers 24 and up, where a fieldbus owns the lower ones (PolyScope below 5.23)."""
     stop_running_program: bool = False
     """Whether another program that is found running may be stopped."""
     workspace_min_mm: Vector3 = (-1300.0, -1300.0, -300.0)
+    """Least x, y, z of the tool in the base frame."""
     workspace_max_mm: Vector3 = (1300.0, 1300.0, 1300.0)
+    """Greatest x, y, z of the tool in the base frame."""
     joint_min_deg: Joints = (-360.0,) * 6
+    """Least angle of each joint."""
     joint_max_deg: Joints = (360.0,) * 6
+    """Greatest angle of each joint."""
     least_singular_value: Annotated[float, Field(ge=0, le=0.5)] = 0.02
     """Straight lines that come nearer to a singularity (smallest singular value of the Jacobian) are refused."""
     tool_radius_mm: Annotated[float, Field(gt=0, le=500)] = 50.0

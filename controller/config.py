@@ -158,7 +158,7 @@ class DeadlinesConfig(Section):
     retreating_s: Annotated[float, Field(gt=0, le=600)] = 40.0
     """Retreat."""
     hold_s: Annotated[float, Field(gt=0, le=36_000)] = 300.0
-    """A hold; after it the mission ends."""
+    """A pause; one that lasts longer is a fault."""
 
 
 class HostConfig(Section):

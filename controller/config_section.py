@@ -30,7 +30,9 @@ class PoseConfig(Section):
     """A rigid transform as millimetres and a rotation vector in degrees."""
 
     xyz_mm: Vector3 = (0.0, 0.0, 0.0)
+    """Translation."""
     rotvec_deg: Vector3 = (0.0, 0.0, 0.0)
+    """Rotation vector: its direction is the axis, its length the angle."""
 
     @property
     def pose(self) -> Pose:

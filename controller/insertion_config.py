@@ -17,7 +17,9 @@ class InsertionValues(Section):
 
     # contact search
     contact_speed_mm_s: Annotated[float, Field(gt=0, le=20)] = 10.0
+    """Speed of the search for contact."""
     contact_force_n: Annotated[float, Field(gt=0, le=50)] = 10.0
+    """Axial force that counts as contact."""
     contact_within_mm: Annotated[float, Field(gt=0, le=50)] = 10.0
     """Contact must come before the plug's face is this far behind the rim plane."""
     entered_mm: Annotated[float, Field(gt=0, le=20)] = 3.0
@@ -25,23 +27,35 @@ class InsertionValues(Section):
 
     # compliant push
     push_force_n: Annotated[float, Field(gt=0, le=100)] = 60.0
+    """Axial force of the compliant push."""
     speed_limit_mm_s: Annotated[float, Field(gt=0, le=20)] = 15.0
+    """Along the axis in force mode."""
     lateral_speed_limit_mm_s: Annotated[float, Field(gt=0, le=20)] = 10.0
+    """Sideways in force mode."""
     tilt_speed_limit_deg_s: Annotated[float, Field(gt=0, le=5)] = 3.0
+    """Of rotations in force mode."""
     max_axial_force_n: Annotated[float, Field(gt=0, le=150)] = 80.0
+    """Cap: more than this ends the insertion."""
     max_lateral_force_n: Annotated[float, Field(gt=0, le=100)] = 30.0
+    """Cap: more than this ends the insertion."""
     max_moment_nm: Annotated[float, Field(gt=0, le=20)] = 6.0
+    """Cap: more than this ends the insertion."""
     overload_samples: Annotated[int, Field(ge=1, le=100)] = 3
     """So many samples in a row above a cap make an overload: a single one is noise."""
     seated_within_mm: Annotated[float, Field(gt=0, le=5)] = 1.0
+    """The depth at rest may differ from the mated depth by this much."""
     plateau_s: Annotated[float, Field(gt=0, le=5)] = 0.3
+    """The depth must stand still for so long to count as at rest."""
     progress_mm: Annotated[float, Field(gt=0, le=5)] = 0.3
     """Less depth than this within ``stall_s`` is no progress."""
     stall_s: Annotated[float, Field(gt=0, le=10)] = 1.0
+    """No progress for so long is a stall."""
 
     # jam: no progress under this much lateral force or moment
     jam_lateral_n: Annotated[float, Field(gt=0, le=100)] = 12.0
+    """Lateral force during a stall that makes it a jam."""
     jam_moment_nm: Annotated[float, Field(gt=0, le=20)] = 2.0
+    """Moment during a stall that makes it a jam."""
     jam_retries: Annotated[int, Field(ge=0, le=5)] = 1
     """How often a jammed plug is eased and pushed again."""
     jam_relief_mm: Annotated[float, Field(gt=0, le=10)] = 1.5
@@ -49,25 +63,33 @@ class InsertionValues(Section):
 
     # search when the push stalls
     search_radius_mm: Annotated[float, Field(gt=0, le=5)] = 2.0
+    """Radius of the spiral."""
     search_pitch_mm: Annotated[float, Field(gt=0, le=3)] = 0.8
     """Distance between neighbouring turns of the spiral."""
     search_speed_mm_s: Annotated[float, Field(gt=0, le=5)] = 1.8
+    """Along the spiral."""
     search_roll_deg: Annotated[float, Field(ge=0, le=5)] = 1.0
     """The plug is turned to and fro about its axis by this much while it searches."""
     search_roll_period_s: Annotated[float, Field(ge=0.5, le=20)] = 3.0
+    """Of one turn to and fro."""
     search_push_n: Annotated[float, Field(gt=0, le=60)] = 15.0
     """Axial push while searching: enough to fall in, little enough to slide."""
     search_force_n: Annotated[float, Field(gt=0, le=25)] = 12.0
+    """Lateral force with which the plug is led along the spiral."""
     search_gain_mm: Annotated[float, Field(gt=0, le=10)] = 1.0
     """Depth gained while searching that counts as having found the way in."""
     search_s: Annotated[float, Field(gt=0, le=60)] = 15.0
+    """A search that takes longer has failed."""
 
     # pulling out, also after an insertion that failed
     withdraw_start_force_n: Annotated[float, Field(gt=0, le=100)] = 25.0
     """The pull begins with this and grows only while nothing moves."""
     withdraw_step_n: Annotated[float, Field(gt=0, le=50)] = 15.0
+    """How much the pull grows each time."""
     withdraw_force_n: Annotated[float, Field(gt=0, le=100)] = 70.0
+    """The pull never exceeds this."""
     withdraw_speed_mm_s: Annotated[float, Field(gt=0, le=50)] = 25.0
+    """Cap of the speed while pulling."""
     clear_mm: Annotated[float, Field(gt=0, le=20)] = 4.0
     """The plug's face this far in front of the rim plane counts as out."""
 

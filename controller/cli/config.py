@@ -1,4 +1,4 @@
-"""``portdock config``: check a site file, show the effective values."""
+"""``portdock config``: check a site file, show the effective values and where they come from, the schema for editors."""
 
 from __future__ import annotations
 
@@ -7,7 +7,10 @@ from typing import Annotated
 
 import typer
 
-from controller.config import as_yaml, load_config
+from controller.config import load_config, parse_config
+from controller.config_keys import json_schema, listing
+from controller.config_layers import layers, merged
+from controller.config_section import ConfigError
 from controller.port_files import load_port
 from controller.scanner_files import load_scanner
 
@@ -24,6 +27,27 @@ def check(file: Annotated[Path, typer.Argument(help="A site file (YAML).")]) -> 
 
 
 @app.command()
-def show(file: Annotated[Path | None, typer.Argument(help="A site file; without one the defaults.")] = None) -> None:
-    """Print every key with its effective value."""
-    print(as_yaml(load_config(file)), end="")
+def show(
+    file: Annotated[Path | None, typer.Argument(help="A site file; without one the defaults.")] = None,
+    docs: Annotated[
+        bool, typer.Option("--docs", help="Above each key its unit, its bounds and what it means.")
+    ] = False,
+) -> None:
+    """Print every key with its effective value and its origin, as YAML that is a valid site file."""
+    found = layers(file)
+    print(listing(parse_config(merged(found)), found, docs), end="")
+
+
+@app.command()
+def schema(out: Annotated[Path | None, typer.Option("--out", help="Write it here instead.")] = None) -> None:
+    """The JSON Schema of a site file. In a YAML file: ``# yaml-language-server: $schema=portdock.schema.json``."""
+    if out is None:
+        print(json_schema())
+        return
+    try:
+        out.write_text(json_schema() + "\n", encoding="utf-8")
+    except OSError as error:
+        raise ConfigError(
+            f"cannot write {out}: {error.strerror}", remedy="Give a path in a writable folder."
+        ) from error
+    print(out)

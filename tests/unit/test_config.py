@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from controller.config import ConfigError, as_yaml, load_config, parse_config
+from controller.config import as_yaml, load_config, parse_config
+from controller.config_keys import json_schema, keys, listing
+from controller.config_layers import layers
+from controller.config_section import ConfigError
 
 
 def written(tmp_path: Path, text: str) -> Path:
@@ -84,3 +88,32 @@ def test_the_effective_configuration_reads_back_as_itself(tmp_path: Path) -> Non
 
 def test_an_empty_configuration_has_a_value_for_every_key() -> None:
     assert parse_config({}).mission.max_attempts >= 1
+
+
+def test_every_key_says_what_it_means() -> None:
+    assert [key.name for key in keys() if not key.doc] == []
+
+
+def test_every_quantity_is_bounded() -> None:
+    free = {"centre_mm", "xyz_mm", "rotvec_deg", "centre_of_gravity_mm", "workspace_min_mm", "workspace_max_mm"}
+    free |= {"joint_min_deg", "joint_max_deg"}  # bounded item by item
+    open_ended = [key.name for key in keys() if key.unit and not key.bounds and key.name.rpartition(".")[2] not in free]
+    assert open_ended == []
+
+
+def test_the_listing_names_the_origin_of_each_value_and_is_itself_a_site_file(tmp_path: Path) -> None:
+    site = written(tmp_path, "arm: {host: 10.0.0.7}\n")
+    text = listing(load_config(site), layers(site), with_docs=True)
+    assert f"host: 10.0.0.7  # {site}" in text
+    assert "model: ur10e  # default.yaml" in text
+    assert "along_mm: 30.0  # built in" in text
+    assert "# (mm/s; > 0, <= 100) Speed of the sweep." in text
+    assert load_config(written(tmp_path, text)) == load_config(site)
+
+
+def test_the_schema_holds_bounds_and_units_and_forbids_unknown_keys() -> None:
+    schema = json.loads(json_schema())
+    speed = schema["$defs"]["ScanConfig"]["properties"]["speed_mm_s"]
+    assert speed["exclusiveMinimum"] == 0
+    assert speed["description"].startswith("[mm/s]")
+    assert not schema["$defs"]["ScanConfig"]["additionalProperties"]
