@@ -1,4 +1,4 @@
-"""``portdock config``: check a site file, show the effective values and where they come from, the schema for editors."""
+"""``portdock config``: check a site file; effective values and where they come from; the schema for editors."""
 
 from __future__ import annotations
 
