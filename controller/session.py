@@ -15,22 +15,19 @@ from typing import Protocol
 
 import numpy as np
 
-from controller import wiring
+from controller.assembly import assemble
 from controller.cell import Cell
 from controller.config import SiteConfig, as_yaml
 from controller.faults import Outcome
 from controller.insertion import Insertion
 from controller.mission import Mission
-from controller.pace import PacedClock
-from controller.perception_worker import PerceptionWorker, PreparedModel
-from controller.port_files import load_port
+from controller.perception_worker import PreparedModel
+from controller.precision import refuse_too_coarse
 from controller.recording.log import log_into
 from controller.recording.recorder import Recorder
 from controller.recording.ring import prune
 from controller.reports.mission import write_report
-from controller.scanner_facts import scanner_facts
 from controller.summary import ContactSummary, LocateSummary, MissionSummary
-from controller.supervisor import Sources, Supervisor
 from controller.task import Goal, Progress
 from drivers.base import MonotonicClock
 from perception.errors import PortdockError
@@ -108,66 +105,38 @@ def run_session(
     :param notes: further (name, text) for the recording's metadata.
     :raises LinkOpenError: a device cannot be opened; ConfigError and the like before anything is opened.
     """
-    port = load_port(config.port.model)
-    wall = MonotonicClock()
-    clock = PacedClock(pace, wall)
+    refuse_too_coarse(config)
     with ExitStack() as closing:
-        locator = PerceptionWorker(config.port.model)
-        closing.callback(locator.close)
-        recorder = Recorder(folder / RECORDING_NAME, wall)
-        devices = wiring.build_devices(config, recorder, wall)
+        recorder = Recorder(folder / RECORDING_NAME, MonotonicClock())
         try:
-            model = locator.prepared()
-            _open(devices, closing)
+            live = assemble(config, recorder, closing, pace=pace, heartbeat_mode=heartbeat_mode)
         except PortdockError:
             recorder.close()
             recorder.path.unlink(missing_ok=True)  # nothing has happened yet that evidence could be of
             with suppress(OSError):
                 folder.rmdir()
             raise
-        _attach_context(recorder, config, model, dict(notes))
+        attach_context(recorder, config, live.model, dict(notes))
         closing.enter_context(log_into(recorder))
-        supervisor = Supervisor(
-            Sources(devices.arm, devices.charger, devices.scanner), clock, wall, config.host.stall_ms / 1000.0
-        )
-        supervisor.facts.mode = heartbeat_mode
-        supervisor.start()
-        closing.callback(supervisor.close)
         watcher = MissionWatcher(recorder, display)
-        cell = Cell(
-            arm=devices.arm,
-            scanner=devices.scanner,
-            charger=devices.charger,
-            locator=locator,
-            supervisor=supervisor,
-            clock=clock,
-            wall=wall,
-            limits=wiring.limits_of(config, port),
-            reach=wiring.reach_check(config, devices.arm),
-            records=recorder,
-            profile_latency_s=scanner_facts(config.scanner).latency_s,
-            time_scale=pace,
-        )
-        mission = Mission(cell, config, port.T_port_tcp, watcher, folder)
-        outcome = mission.run()
-        summary = _summary(mission, outcome, watcher, clock.now_s(), truth, folder)
-        for name in ("arm", "scanner", "charger"):
-            recorder.link(name, getattr(devices, name).health())
-        recorder.close(summary)
-        if recorder.failure is not None:
-            log.error("the recording is not complete: %s", recorder.failure)
+        mission = Mission(live.cell, config, live.T_port_tcp_mated, watcher, folder)
+        mission.run()
+        summary = summary_of(mission.now, watcher.durations(live.cell.clock.now_s()), truth, folder)
+        close_recording(recorder, live.cell, summary)
     prune(Path(config.recording.folder), int(config.recording.keep_mb * 1e6))
-    return _with_report(summary, folder)
+    return with_report(summary, folder)
 
 
-def _open(devices: wiring.Devices, closing: ExitStack) -> None:
-    """Open the links; whatever happens later, they are closed in reverse order."""
-    for device in (devices.charger, devices.scanner, devices.arm):
-        device.open()
-        closing.callback(device.close)
+def close_recording(recorder: Recorder, cell: Cell, summary: MissionSummary) -> None:
+    """The last things a recording needs to know."""
+    for name, device in (("arm", cell.arm), ("scanner", cell.scanner), ("charger", cell.charger)):
+        recorder.link(name, device.health())
+    recorder.close(summary)
+    if recorder.failure is not None:
+        log.error("the recording is not complete: %s", recorder.failure)
 
 
-def _attach_context(recorder: Recorder, config: SiteConfig, model: PreparedModel, values: dict[str, str]) -> None:
+def attach_context(recorder: Recorder, config: SiteConfig, model: PreparedModel, values: dict[str, str]) -> None:
     """What a reader of the recording needs to understand it without this machine."""
     recorder.attach("config.yaml", as_yaml(config).encode(), "application/yaml")
     buffer = BytesIO()
@@ -177,16 +146,18 @@ def _attach_context(recorder: Recorder, config: SiteConfig, model: PreparedModel
     recorder.transform("flange", "scanner", config.scanner.T_flange_scanner.pose)
 
 
-def _summary(
-    mission: Mission, outcome: Outcome, watcher: MissionWatcher, end_s: float, truth: Pose | None, folder: Path
+def summary_of(
+    job: Progress, states: tuple[tuple[str, float], ...], truth: Pose | None, folder: Path
 ) -> MissionSummary:
-    estimate, insertion = mission.now.estimate, mission.now.insertion
+    """A job that is over, as the values that people read."""
+    outcome, estimate, insertion = job.outcome, job.estimate, job.insertion
+    assert outcome is not None, "the job is over"
     return MissionSummary(
         outcome=outcome.kind,
         fault=None if outcome.fault is None else outcome.fault.code.value,
         remedy="" if outcome.fault is None else f"{outcome.fault}. {outcome.fault.remedy}",
-        states=watcher.durations(end_s),
-        attempts=mission.now.attempt,
+        states=states,
+        attempts=job.attempt,
         locate=None if estimate is None else locate_summary(estimate, truth),
         contact=None if insertion is None else contact_summary(insertion),
         recording=folder / RECORDING_NAME,
@@ -218,7 +189,7 @@ def contact_summary(insertion: Insertion) -> ContactSummary:
     )
 
 
-def _with_report(summary: MissionSummary, folder: Path) -> MissionSummary:
+def with_report(summary: MissionSummary, folder: Path) -> MissionSummary:
     """A report that cannot be written costs the report, never the mission's result."""
     try:
         write_report(folder / RECORDING_NAME, folder / REPORT_NAME)
