@@ -36,7 +36,7 @@ class ArmConfig(Section):
     serial: str | None = None
     """Serial number that the robot must have. None: any."""
     T_flange_tcp: PoseConfig = PoseConfig()
-    """The plug's frame at the flange."""
+    """The plug's frame at the flange: origin on the plug's foremost face, z into the port, x along the port's x."""
     payload_kg: Annotated[float, Field(ge=0, le=30)] = 3.0
     """Mass of plug, tool and the part of the cable that the arm carries."""
     centre_of_gravity_mm: Vector3 = (0.0, 0.0, 80.0)

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from controller.cli import charger, config, dry_run, evaluate, locate, merge, mock, recording, scanner, states
+from controller.cli import charger, config, doctor, dry_run, evaluate, locate, merge, mock, recording, scanner, states
 from controller.config_section import ConfigError
 from controller.faults import MissionFault
 from drivers.base import DriverError
@@ -33,6 +33,7 @@ app.command("run")(dry_run.run)
 app.command("locate")(locate.locate)
 app.command("merge")(merge.merge)
 app.command("states")(states.states)
+app.command("doctor")(doctor.doctor)
 app.add_typer(config.app, name="config")
 app.add_typer(mock.app, name="mock")
 app.add_typer(recording.app, name="recording")
