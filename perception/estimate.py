@@ -51,6 +51,25 @@ class PortEstimate:
     """(step, seconds) in order, the last one being ("total", ...)."""
     verdict: Verdict = "port"
 
+    @staticmethod
+    def nothing_found(
+        port: str, prior: Prior, ref: Frame, reason: str, timings_s: tuple[tuple[str, float], ...]
+    ) -> PortEstimate:
+        """The refusal of a scan that no pose could be found in: the prior's pose, as uncertain as can be."""
+        return PortEstimate(
+            port=port,
+            T_ref_port=prior.T_ref_port,
+            ref=ref,
+            covariance=np.diag([1.0] * 3 + [np.pi**2] * 3),
+            rms_residual_m=float("inf"),
+            inlier_ratio=0.0,
+            runner_up_margin=0.0,
+            accepted=False,
+            reasons=(reason,),
+            timings_s=timings_s,
+            verdict="no-port",
+        )
+
     @property
     def elapsed_s(self) -> float:
         """Total time of the locator."""

@@ -49,7 +49,8 @@ def locate(cloud: Cloud, model: PortModel, prior: Prior | None, settings: Method
         refined = refine(T_prior_port, scene, model)
         judged = _judged(cloud, model, expected, scene, T_prior_port, refined, found)
     except (EmptyScanError, DegenerateCloudError) as error:
-        return _refused(cloud, model, expected, str(error), perf_counter() - begun)
+        spent = (("total", perf_counter() - begun),)
+        return PortEstimate.nothing_found(model.name, expected, cloud.frame, str(error), spent)
     done = perf_counter()
     steps = (("prepare", prepared - begun), ("register", registered - prepared), ("judge", done - registered))
     return replace(judged, timings_s=(*steps, ("total", done - begun)))
@@ -107,19 +108,3 @@ def _disagreement(pose: Pose, refined: Pose) -> tuple[str, ...]:
 def _facing(cloud: Cloud) -> Prior:
     """A wide prior for a scan without one: the port faces the scanner in the middle of the scan."""
     return Prior(Pose(np.diag([1.0, -1.0, -1.0]), np.median(cloud.points, axis=0)), lateral_m=0.08, along_m=0.06)
-
-
-def _refused(cloud: Cloud, model: PortModel, prior: Prior, reason: str, total_s: float) -> PortEstimate:
-    return PortEstimate(
-        port=model.name,
-        T_ref_port=prior.T_ref_port,
-        ref=cloud.frame,
-        covariance=np.diag([1.0] * 3 + [np.pi**2] * 3),
-        rms_residual_m=float("inf"),
-        inlier_ratio=0.0,
-        runner_up_margin=0.0,
-        accepted=False,
-        reasons=(reason,),
-        timings_s=(("total", total_s),),
-        verdict="no-port",
-    )
