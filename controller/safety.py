@@ -124,10 +124,10 @@ def _live(charger: ChargerStatus | None) -> str | None:
         return "the charger is silent: the contactor's state is unknown"
     if charger.contactor_closed:
         return "the contactor is closed"
+    if not np.isfinite([charger.current_a, charger.electrical_time_s]).all():
+        return "the current is not measured, or not fresh"
     if abs(charger.current_a) >= LIVE_CURRENT_A:
         return f"{charger.current_a:.1f} A are flowing"
-    if not np.isfinite(charger.electrical_time_s):
-        return "no current has been measured yet"
     return None
 
 
@@ -249,7 +249,7 @@ def _check_inserted(command: Motion, now: Situation, limits: Limits) -> Refusal 
     if now.state is State.RETREATING:
         if now.charger is None or now.charger.lock is not PlugLock.UNLOCKED:
             return Refusal("lock", "the plug is not known to be unlocked")
-        if now.mated and (why := _live(now.charger)):
+        if why := _live(now.charger):
             return Refusal("live", why)
     if isinstance(command, MoveJoints):
         return Refusal("inserted", "no joint motion while the plug is in the port")

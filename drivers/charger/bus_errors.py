@@ -24,6 +24,7 @@ ERROR_CLASSES = {
     0x100: "restarted",
 }
 """Classes of a SocketCAN error frame, from linux/can/error.h."""
+BUS_OFF = "bus-off"
 _CONTROLLER_PROBLEM, _BUS_OFF, _RESTARTED = 0x004, 0x040, 0x100
 _PASSIVE, _WARNING, _ACTIVE_AGAIN = 0x30, 0x0C, 0x40
 
@@ -36,7 +37,7 @@ def error_classes(identifier: int) -> list[str]:
 def bus_condition(identifier: int, data: bytes, before: str) -> str:
     """The bus's condition after an error frame; ``bus.state`` of python-can is not to be trusted for it."""
     if identifier & _BUS_OFF:
-        return "bus-off"
+        return BUS_OFF
     if identifier & _RESTARTED:
         return ""
     if identifier & _CONTROLLER_PROBLEM and len(data) > 1:
@@ -52,7 +53,7 @@ def bus_condition(identifier: int, data: bytes, before: str) -> str:
 class Trouble(enum.Enum):
     """What an exception of a bus calls for."""
 
-    FULL = "nobody acknowledges, or the transmit queue is full"
+    FULL = "no frame gets out: nobody acknowledges, or the bus is full"
     DOWN = "the network interface is down"
     BROKEN = "the adapter is gone"
 

@@ -17,13 +17,15 @@ from typing import Any
 import can
 
 from drivers.base import ByteSink, CanFrame, Clock, Direction, LinkOpenError
-from drivers.charger.bus_errors import Trouble, bus_condition, error_classes, is_garbage, trouble
+from drivers.charger.bus_errors import BUS_OFF, Trouble, bus_condition, error_classes, is_garbage, trouble
 from drivers.charger.bus_open import READ_TIMEOUT_S, Filter, close_bus, open_bus
 from drivers.charger.settings import CanSettings
+from drivers.charger.tail import TrafficTail
 
 _log = logging.getLogger(__name__)
 _WRITE_TIMEOUT_S = 0.25
 _LONGEST_PATIENCE_S = 60.0
+EVIDENCE_S = 2.0
 _FULL_S = 0.25
 """A queue that stays full for this long is a bus on which nobody acknowledges."""
 
@@ -36,11 +38,11 @@ class BusLink:
         settings: CanSettings,
         clock: Clock,
         sink: ByteSink,
-        receive: Callable[[int, bytes, float], None],
-        filters: list[Filter],
+        receive: Callable[[CanFrame], None],
+        filters: list[Filter] | None,
         fd: bool = False,
     ) -> None:
-        """``receive`` gets identifier, data and host time of each data frame that ``filters`` let through."""
+        """``receive`` gets each data frame that ``filters`` let through (None: all)."""
         self._settings, self._clock, self._sink, self._receive = settings, clock, sink, receive
         self._filters, self._fd = filters, fd
         self._bus: Any = None
@@ -54,6 +56,7 @@ class BusLink:
         self._trouble = ""
         self._heard_s, self._patience_s = 0.0, settings.reset_silence_s
         self.counters: Counter[str] = Counter()
+        self.tail = TrafficTail(EVIDENCE_S + settings.lost_s)
 
     @property
     def trouble(self) -> str:
@@ -136,20 +139,21 @@ class BusLink:
     def _take(self, message: can.Message) -> None:
         now_s = self._heard_s = self._clock.now_s()
         self._patience_s = self._settings.reset_silence_s
-        self._record(message, "rx", now_s)
-        data = bytes(message.data)
+        frame = self._record(message, "rx", now_s)
         if message.is_error_frame:
             self.counters["error_frames"] += 1
             for name in error_classes(message.arbitration_id):
                 self.counters[f"error_{name}"] += 1
-            self._condition = bus_condition(message.arbitration_id, data, self._condition)
+            self._condition = bus_condition(message.arbitration_id, frame.data, self._condition)
         elif message.is_remote_frame:
             self.counters["remote_frames"] += 1
         else:
             self.counters["rx_frames"] += 1
             if self._trouble == Trouble.DOWN.value:
                 self._trouble = ""
-            self._receive(message.arbitration_id, data, now_s)
+            if self._condition == BUS_OFF:
+                self._condition = ""  # who is off the bus hears nothing
+            self._receive(frame)
 
     def _reopen(self) -> None:
         """Close what is broken and try to open the bus again, with growing pauses, until it opens or all closes."""
@@ -214,15 +218,16 @@ class BusLink:
         if kind is Trouble.BROKEN:
             self._broken.set()
 
-    def _record(self, message: can.Message, direction: Direction, now_s: float) -> None:
-        self._sink.can_frame(
-            CanFrame(
-                time_s=now_s,
-                direction=direction,
-                arbitration_id=message.arbitration_id,
-                data=bytes(message.data),
-                is_extended=message.is_extended_id,
-                is_error=message.is_error_frame,
-                is_fd=message.is_fd,
-            )
+    def _record(self, message: can.Message, direction: Direction, now_s: float) -> CanFrame:
+        frame = CanFrame(
+            time_s=now_s,
+            direction=direction,
+            arbitration_id=message.arbitration_id,
+            data=bytes(message.data),
+            is_extended=message.is_extended_id,
+            is_error=message.is_error_frame,
+            is_fd=message.is_fd,
         )
+        self.tail.add(frame)
+        self._sink.can_frame(frame)
+        return frame

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import fcntl
+import logging
 import os
 from typing import Any
 
@@ -11,7 +12,10 @@ import can
 
 from drivers.base import LinkOpenError
 from drivers.charger.bus_errors import open_error
+from drivers.charger.kernel_link import check_bit_rate, read_kernel_link
 from drivers.charger.settings import CanSettings
+
+_log = logging.getLogger(__name__)
 
 READ_TIMEOUT_S = 0.05
 Filter = tuple[int, bool]
@@ -24,6 +28,8 @@ def open_bus(
     """A ``can.Bus`` that gets only the frames of ``filters`` (None: all). Raises LinkOpenError."""
     if settings.interface == "slcan":
         _refuse_taken(settings)
+    elif settings.interface == "socketcan":
+        _refuse_ill_set_up(settings)
     try:
         bus = can.Bus(
             channel=settings.channel,
@@ -101,6 +107,19 @@ def _refuse_taken(settings: CanSettings) -> None:
         ) from None
     finally:
         os.close(descriptor)
+
+
+def _refuse_ill_set_up(settings: CanSettings) -> None:
+    """An interface at another bit rate would only disturb the bus; a kernel that cannot be asked is taken as it is."""
+    try:
+        link = read_kernel_link(settings.channel)
+    except LinkOpenError as error:
+        _log.debug("the kernel's word on %s: %s", settings.channel, error)
+        return  # opening the bus says why in its own words
+    if link.is_can:
+        check_bit_rate(link, settings.bitrate)
+        if not link.is_virtual and link.restart_ms == 0:
+            _log.warning("%s will not restart after bus-off: ip link set ... restart-ms 100", settings.channel)
 
 
 def _claim(bus: Any, settings: CanSettings) -> None:

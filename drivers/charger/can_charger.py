@@ -8,9 +8,11 @@ counter fit, and the charger is alive while such frames keep coming.
 from __future__ import annotations
 
 import threading
+from collections.abc import Callable
 
 from drivers.base import (
     ByteSink,
+    CanFrame,
     ChargerRequest,
     ChargerStatus,
     Clock,
@@ -23,7 +25,7 @@ from drivers.base import (
     NullSink,
     RequestResult,
 )
-from drivers.charger.bus_link import BusLink
+from drivers.charger.bus_link import EVIDENCE_S, BusLink
 from drivers.charger.contract import Contract
 from drivers.charger.e2e import Scheme
 from drivers.charger.freshness import Liveness
@@ -46,7 +48,10 @@ class CanCharger:
         self._incoming = Incoming(contract, settings)
         self._outgoing = Outgoing(contract, settings)
         filters = [(codec.arbitration_id, codec.is_extended) for codec in contract.from_charger]
-        self._link = BusLink(settings, clock, sink or NullSink(), self._receive, filters, contract.is_fd)
+        self._link = BusLink(settings, clock, sink or NullSink(), self._hear, filters, contract.is_fd)
+        self._before_loss: tuple[CanFrame, ...] = ()
+        self._losses = 0
+        self._alarm: Callable[[], None] = lambda: None
 
     # --- life ---------------------------------------------------------------------------------------------------
 
@@ -88,8 +93,18 @@ class CanCharger:
             now_s = self._clock.now_s()
             status = self._incoming.charger_status(now_s)
             if status is None:
+                self._keep_evidence()
                 raise LinkLostError(self._incoming.why_not(now_s, self._link.trouble))
             return status
+
+    def traffic_before_loss(self) -> tuple[CanFrame, ...]:
+        """The bus's traffic from 2 s before the newest loss on, both directions; empty when nothing was ever lost."""
+        with self._lock:
+            return self._before_loss
+
+    def alert(self, alarm: Callable[[], None]) -> None:
+        """Call this, from the reader's thread, as soon as a valid frame says emergency stop, fault or no motion."""
+        self._alarm = alarm
 
     def health(self) -> LinkHealth:
         """State of the link with every counter."""
@@ -111,10 +126,21 @@ class CanCharger:
                 detail="; ".join(note for note in notes if note),
             )
 
+    def _keep_evidence(self) -> None:
+        """Once for each loss."""
+        freshness = self._incoming.freshness
+        if freshness.losses > self._losses and freshness.last_s is not None:
+            self._losses = freshness.losses
+            self._before_loss = self._link.tail.since(freshness.last_s - EVIDENCE_S)
+
+    def _hear(self, frame: CanFrame) -> None:
+        self._receive(frame.arbitration_id, frame.data, frame.time_s)
+
     def _receive(self, identifier: int, data: bytes, now_s: float) -> None:
         """A data frame came in. Runs in the reader thread."""
         with self._news:
-            first = self._incoming.status is None
+            before = self._incoming.status
+            first = before is None
             if not self._incoming.take(identifier, data, now_s):
                 return
             status = self._incoming.status
@@ -123,6 +149,8 @@ class CanCharger:
                 self._outgoing.handshake.adopt(status.ack_sequence)
             self._outgoing.handshake.acknowledge(status.ack_sequence, status.ack_result)
             self._news.notify_all()
+        if status.alarming and not (before is not None and before.alarming):
+            self._alarm()
 
     # --- what the robot says ------------------------------------------------------------------------------------
 

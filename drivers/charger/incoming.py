@@ -34,6 +34,7 @@ class Incoming:
         self._status_codec = the_contract[contract.STATUS]
         self._status_receiver = self._receivers[self._status_codec.arbitration_id]
         self._lost_s = settings.lost_s
+        self._stale_s = max(settings.lost_s, 5.0 * the_contract[contract.ELECTRICAL].cycle_s)
         self._heard_s: dict[int, float] = {}
         self._counters: Counter[str] = Counter()
         self._electrical = _NOT_MEASURED
@@ -82,6 +83,8 @@ class Incoming:
         if status is None or last_s is None or not self.trusted(now_s):
             return None
         electrical, electrical_s = self._electrical
+        if now_s - electrical_s > self._stale_s:
+            electrical = _NOT_MEASURED[0]
         return ChargerStatus(
             time_s=last_s,
             state=status.state,

@@ -44,6 +44,11 @@ class StatusFrame:
     ack_result: RequestResult
     code: int
 
+    @property
+    def alarming(self) -> bool:
+        """Whether whatever moves must stop now."""
+        return self.estop or self.motion_inhibit or self.state in (ChargerState.FAULT, ChargerState.ESTOP)
+
 
 @dataclass(frozen=True, slots=True)
 class ElectricalFrame:

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import enum
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
 
 from drivers.interfaces.link import LinkHealth
+from drivers.interfaces.recording import CanFrame
 from perception.geometry import Pose
 
 
@@ -102,6 +104,7 @@ class ChargerStatus:
     fault_code: int
     voltage_v: float
     current_a: float
+    """NaN, like the voltage, while no fresh electrical frame says otherwise: no comparison with a limit holds then."""
     electrical_time_s: float
     """Host's monotonic time of the last valid electrical frame; -inf before the first."""
 
@@ -155,6 +158,15 @@ class Charger(Protocol):
 
     def result(self, sequence: int) -> RequestResult:
         """What became of the request with this sequence number."""
+
+    def refusal(self) -> str:
+        """The charger's own word for why it refused the newest request; empty when it did not."""
+
+    def alert(self, alarm: Callable[[], None]) -> None:
+        """Call this, from any thread, as soon as a valid frame says emergency stop, fault or inhibited motion."""
+
+    def traffic_before_loss(self) -> tuple[CanFrame, ...]:
+        """The bus's traffic from 2 s before the newest loss on; empty when the charger was never lost."""
 
     def publish(self, pose: DockPose | None) -> None:
         """Announce an accepted pose with the next heartbeats, or None to send none."""
