@@ -1,0 +1,77 @@
+"""A cell put together and live: perception ready, links open, supervisor ticking. Dry run, soak and daemon begin here.
+
+Everything is closed in reverse order when the ``ExitStack`` that was handed in is left, whatever happened.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import ExitStack
+from dataclasses import dataclass
+from typing import Protocol
+
+from controller import wiring
+from controller.cell import Cell, CommandLog
+from controller.config import SiteConfig
+from controller.pace import PacedClock
+from controller.perception_worker import PerceptionWorker, PreparedModel
+from controller.port_files import load_port
+from controller.scanner_facts import scanner_facts
+from controller.supervisor import Sources, Supervisor
+from drivers.base import ByteSink, MonotonicClock
+from perception.geometry import Pose
+
+
+class Evidence(ByteSink, CommandLog, Protocol):
+    """Where the links' traffic and the gate's decisions go: a recorder, or what stands for one."""
+
+
+@dataclass(frozen=True, slots=True)
+class Assembly:
+    """A live cell."""
+
+    cell: Cell
+    model: PreparedModel
+    T_port_tcp_mated: Pose
+
+
+def assemble(
+    config: SiteConfig,
+    evidence: Evidence,
+    closing: ExitStack,
+    *,
+    pace: float = 1.0,
+    heartbeat_mode: int = 2,
+    alive: Callable[[], None] = lambda: None,
+) -> Assembly:
+    """Open everything and start the tick. Raises LinkOpenError, and ConfigError before anything is opened."""
+    port = load_port(config.port.model)
+    wall = MonotonicClock()
+    clock = PacedClock(pace, wall)
+    devices = wiring.build_devices(config, evidence, wall)
+    locator = PerceptionWorker(config.port.model)
+    closing.callback(locator.close)
+    model = locator.prepared()
+    for device in (devices.charger, devices.scanner, devices.arm):
+        device.open()
+        closing.callback(device.close)
+    sources = Sources(devices.arm, devices.charger, devices.scanner)
+    supervisor = Supervisor(sources, clock, wall, config.host.stall_ms / 1000.0, alive)
+    supervisor.facts.mode = heartbeat_mode
+    supervisor.start()
+    closing.callback(supervisor.close)
+    cell = Cell(
+        arm=devices.arm,
+        scanner=devices.scanner,
+        charger=devices.charger,
+        locator=locator,
+        supervisor=supervisor,
+        clock=clock,
+        wall=wall,
+        limits=wiring.limits_of(config, port),
+        reach=wiring.reach_check(config, devices.arm),
+        records=evidence,
+        profile_latency_s=scanner_facts(config.scanner).latency_s,
+        time_scale=pace,
+    )
+    return Assembly(cell, model, port.T_port_tcp)
