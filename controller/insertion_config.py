@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from typing import Annotated, Any
 
-from pydantic import Field, field_serializer
+from pydantic import Field, field_serializer, model_validator
 
 from controller.config_section import Section
 
@@ -20,8 +20,6 @@ class InsertionValues(Section):
     """Speed of the search for contact."""
     contact_force_n: Annotated[float, Field(gt=0, le=50)] = 10.0
     """Axial force that counts as contact."""
-    contact_within_mm: Annotated[float, Field(gt=0, le=50)] = 10.0
-    """Contact must come before the plug's face is this far behind the rim plane."""
     entered_mm: Annotated[float, Field(gt=0, le=20)] = 3.0
     """Deeper than this without contact force, the plug is on its way in: there is nothing to search."""
 
@@ -61,7 +59,12 @@ class InsertionValues(Section):
     jam_relief_mm: Annotated[float, Field(gt=0, le=10)] = 1.5
     """How far it is eased back."""
 
+    overrun_mm: Annotated[float, Field(gt=0, le=20)] = 4.0
+    """Deeper than home by this much is no port as expected."""
+
     # search when the push stalls
+    search_depth_mm: Annotated[float, Field(gt=0, le=50)] = 6.0
+    """A plug that stalls deeper than this is in the port, and there is nothing to search."""
     search_radius_mm: Annotated[float, Field(gt=0, le=5)] = 2.0
     """Radius of the spiral."""
     search_pitch_mm: Annotated[float, Field(gt=0, le=3)] = 0.8
@@ -74,7 +77,6 @@ class InsertionValues(Section):
     """Of one turn to and fro."""
     search_push_n: Annotated[float, Field(gt=0, le=60)] = 15.0
     """Axial push while searching: enough to fall in, little enough to slide."""
-    search_force_n: Annotated[float, Field(gt=0, le=25)] = 12.0
     """Lateral force with which the plug is led along the spiral."""
     search_gain_mm: Annotated[float, Field(gt=0, le=10)] = 1.0
     """Depth gained while searching that counts as having found the way in."""
@@ -82,16 +84,14 @@ class InsertionValues(Section):
     """A search that takes longer has failed."""
 
     # pulling out, also after an insertion that failed
-    withdraw_start_force_n: Annotated[float, Field(gt=0, le=100)] = 25.0
+    withdraw_start_force_n: Annotated[float, Field(gt=0, le=100)] = 30.0
     """The pull begins with this and grows only while nothing moves."""
-    withdraw_step_n: Annotated[float, Field(gt=0, le=50)] = 15.0
+    withdraw_step_n: Annotated[float, Field(gt=0, le=50)] = 20.0
     """How much the pull grows each time."""
     withdraw_force_n: Annotated[float, Field(gt=0, le=100)] = 70.0
     """The pull never exceeds this."""
     withdraw_speed_mm_s: Annotated[float, Field(gt=0, le=50)] = 25.0
     """Cap of the speed while pulling."""
-    clear_mm: Annotated[float, Field(gt=0, le=20)] = 4.0
-    """The plug's face this far in front of the rim plane counts as out."""
 
 
 class InsertionConfig(InsertionValues):
@@ -106,6 +106,17 @@ class InsertionConfig(InsertionValues):
         if special is None:
             return self
         return self.model_copy(update={key: getattr(special, key) for key in special.model_fields_set})
+
+    @model_validator(mode="after")
+    def _within_the_cap(self) -> InsertionConfig:
+        """A push that reaches its cap by itself would always end as an overload."""
+        for port in ("", *self.per_port):
+            values = self.on(port)
+            for key in ("push_force_n", "search_push_n", "withdraw_force_n"):
+                if getattr(values, key) > values.max_axial_force_n:
+                    where = f" for {port}" if port else ""
+                    raise ValueError(f"{key}{where} is above max_axial_force_n ({values.max_axial_force_n:g} N)")
+        return self
 
     @field_serializer("per_port")
     def _only_what_differs(self, per_port: dict[str, InsertionValues]) -> dict[str, dict[str, Any]]:

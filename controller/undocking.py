@@ -11,7 +11,7 @@ from collections.abc import Callable
 from controller.commands import Announce, AskCharger, MoveLinear, StopMotion
 from controller.durable import forget_insertion
 from controller.faults import FaultCode, MissionFault
-from controller.insertion import withdraw
+from controller.withdrawal import withdraw
 from controller.planning import DockPlan
 from controller.safety import LIVE_CURRENT_A
 from controller.self_check import OFF_AXIS_M
