@@ -194,6 +194,11 @@ class SiteConfig(Section):
     host: HostConfig = HostConfig()
     recording: RecordingConfig = RecordingConfig()
 
+    @property
+    def insertion_here(self) -> InsertionConfig:
+        """``insertion`` with what differs for the site's port."""
+        return self.insertion.on(Path(self.port.model).stem)
+
 
 def load_config(path: Path | None = None, scanner: str | None = None) -> SiteConfig:
     """The defaults, a scanner's bundled site on top, the site file at ``path`` on top of both. Raises ConfigError."""

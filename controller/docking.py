@@ -118,7 +118,7 @@ def push_in(task: Task) -> Event:
     """Force-guarded, on the port's axis; the last rung may search."""
     patience_s = task.config.deadlines.inserting_s
     assert task.plan is not None, "APPROACHING made it"
-    result = insert(task.cell, task.plan, task.config.insertion, search=task.last_attempt, timeout_s=patience_s)
+    result = insert(task.cell, task.plan, task.config.insertion_here, search=task.last_attempt, timeout_s=patience_s)
     task.now.insertion = result
     task.watcher.insertion(result)
     if result.verdict is Verdict.SEATED:

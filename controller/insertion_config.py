@@ -98,7 +98,7 @@ class InsertionConfig(InsertionValues):
     """What happens within the last centimetres."""
 
     per_port: dict[str, InsertionValues] = Field(default_factory=dict)
-    """Values that differ for a port type, by the port's name."""
+    """Values that differ for a port type, by ``port.model`` (of a path the file's name alone)."""
 
     def on(self, port: str) -> InsertionConfig:
         """The values for a port, by its name."""

@@ -47,7 +47,7 @@ def switch_off(task: Task, patience_s: float) -> bool:
 
 def retreat(task: Task) -> Event:
     """Out along the axis that was inserted on, then clear of the vehicle."""
-    cell, insertion = task.cell, task.config.insertion
+    cell, insertion = task.cell, task.config.insertion_here
     patience_s = task.config.deadlines.retreating_s
     cell.do(StopMotion())
     plan = _known_axis(task)

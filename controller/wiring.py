@@ -117,7 +117,7 @@ def _can_settings(config: SiteConfig) -> CanSettings:
 
 def limits_of(config: SiteConfig, port: PortDescription) -> Limits:
     """Every bound of the gate, from configuration and port."""
-    motion, insertion = config.motion, config.insertion.on(port.name)
+    motion, insertion = config.motion, config.insertion_here
     return Limits(
         workspace_min_m=_metres(config.arm.workspace_min_mm),
         workspace_max_m=_metres(config.arm.workspace_max_mm),

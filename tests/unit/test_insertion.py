@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from controller.config import load_config
 from controller.faults import FaultCode, MissionFault
 from controller.insertion import Insertion, Verdict, insert
 from controller.insertion_config import InsertionConfig
@@ -312,6 +313,13 @@ def test_values_of_a_port_type_replace_only_what_they_name() -> None:
     assert (config.on("j1772").push_force_n, config.on("j1772").stall_s) == (55.0, 2.0)
     assert (config.on("ccs2").push_force_n, config.on("ccs2").stall_s) == (55.0, 1.0)
     assert InsertionConfig.model_validate(config.model_dump()) == config
+
+
+def test_a_site_gets_the_values_of_its_port(tmp_path: Path) -> None:
+    text = "insertion: {per_port: {j1772: {push_force_n: 44}}}\nport: {model: MODEL}"
+    for model, push_n in (("j1772", 44.0), ("/ports/j1772.yaml", 44.0), ("type2", 60.0)):
+        (tmp_path / "site.yaml").write_text(text.replace("MODEL", model))
+        assert load_config(tmp_path / "site.yaml").insertion_here.push_force_n == push_n
 
 
 def test_values_of_a_port_type_are_bounded_and_known_too() -> None:
