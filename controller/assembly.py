@@ -52,12 +52,14 @@ def assemble(
     locator = PerceptionWorker(config.port.model)
     closing.callback(locator.close)
     model = locator.prepared()
-    for device in (devices.charger, devices.scanner, devices.arm):
-        device.open()
-        closing.callback(device.close)
+    for device in (devices.charger, devices.scanner, devices.arm, devices.car):
+        if device is not None:
+            device.open()
+            closing.callback(device.close)
     sources = Sources(devices.arm, devices.charger, devices.scanner)
     supervisor = Supervisor(sources, clock, wall, config.host.stall_ms / 1000.0, alive)
     supervisor.facts.mode = heartbeat_mode
+    devices.charger.alert(supervisor.wake)
     supervisor.start()
     closing.callback(supervisor.close)
     cell = Cell(
@@ -73,5 +75,6 @@ def assemble(
         records=evidence,
         profile_latency_s=scanner_facts(config.scanner).latency_s,
         time_scale=pace,
+        car=devices.car,
     )
     return Assembly(cell, model, port.T_port_tcp)

@@ -8,6 +8,7 @@ from concurrent.futures import Future
 from dataclasses import dataclass
 from typing import Protocol
 
+from controller.car_evidence import Opinion, in_words, opinion
 from controller.commands import (
     Announce,
     AskCharger,
@@ -28,6 +29,7 @@ from controller.supervisor import Supervisor
 from drivers.base import (
     Arm,
     ArmState,
+    Car,
     Charger,
     ChargerRequest,
     ChargerStatus,
@@ -79,6 +81,8 @@ class Cell:
     """Device seconds per wall second: not 1 only where mocks run fast."""
     T_base_port: Pose | None = None
     """The port pose that the gate holds motions against once there is a plan."""
+    car: Car | None = None
+    """What listens to the vehicle's own protocol, where the site has it."""
     _request_sequence: int = 0
 
     # --- commands
@@ -153,6 +157,18 @@ class Cell:
         """Whether a fresh charger status fulfils ``wanted``."""
         status = self.charger_status()
         return status is not None and wanted(status)
+
+    def compare_with_car(self, least_current_a: float) -> Opinion:
+        """Ask the vehicle, where it can be heard, whether it is being charged; the answer goes into the log."""
+        charger, car = self.charger_status(), None if self.car is None else self.car.status()
+        said = opinion(charger, car, least_current_a)
+        if said is not Opinion.NOBODY_LISTENS:
+            log.log(
+                logging.WARNING if said is Opinion.CONTRADICTED else logging.INFO,
+                "second source: %s",
+                in_words(said, charger, car),
+            )
+        return said
 
     # --- commands with an end
 

@@ -14,6 +14,7 @@ import yaml
 from pydantic import Field, ValidationError
 
 from controller.arm_config import ArmConfig
+from controller.charger_config import ChargerConfig
 from controller.config_layers import layers, merged
 from controller.config_section import ConfigError, PoseConfig, Section
 from controller.config_units import unit_of
@@ -76,27 +77,6 @@ class ScanConfig(Section):
         ViewpointConfig(yaw_deg=12.0),
     )
     """Where a mission looks from, one after the other, until a scan is accepted."""
-
-
-class ChargerConfig(Section):
-    """The charger on CAN."""
-
-    interface: str = "slcan"
-    """python-can interface: slcan, socketcan, virtual or any other that is installed."""
-    channel: str = "/dev/serial/by-id/can-adapter"
-    """The interface's channel: a serial device, or a network such as can0."""
-    bitrate_bps: Annotated[int, Field(ge=10_000, le=1_000_000)] = 250_000
-    """Bit rate of the bus. With socketcan the network sets it, not portdock."""
-    dbc: str | None = None
-    """A supplier's own DBC with the same signal names. None: the bundled one."""
-    protection: Literal["none", "counter", "j1850", "e2e-p11", "e2e-p5"] = "e2e-p11"
-    """End-to-end protection of portdock's frames: counter and checksum inside the data."""
-    accept_unprotected_can: bool = False
-    """Must be true for `protection: none`."""
-    degraded_ms: Annotated[float, Field(ge=100, le=5000)] = 150.0
-    """A charger silent for so long degrades the link: no new motion."""
-    lost_ms: Annotated[float, Field(ge=150, le=5000)] = 250.0
-    """A charger silent for so long is lost."""
 
 
 class MotionConfig(Section):

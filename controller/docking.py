@@ -166,6 +166,7 @@ def charge(task: Task) -> Event | None:
     if ended and not cell.charger_says(_rests):
         task.now.setback = Fault(FaultCode.NOT_CHARGING, "the current broke off")
         return Event.CHARGE_COMPLETE
+    cell.compare_with_car(mission.min_charge_current_a)
     if task.now.goal is not Goal.DOCK:
         return Event.CHARGE_COMPLETE
     task.charging_seen = True

@@ -23,13 +23,14 @@ from controller.insertion import Insertion
 from controller.mission import Mission
 from controller.perception_worker import PreparedModel
 from controller.precision import refuse_too_coarse
+from controller.recording.candump import candump_text
 from controller.recording.log import log_into
 from controller.recording.recorder import Recorder
 from controller.recording.ring import prune
 from controller.reports.mission import write_report
 from controller.summary import ContactSummary, LocateSummary, MissionSummary
 from controller.task import Goal, Progress
-from drivers.base import MonotonicClock
+from drivers.base import CanFrame, MonotonicClock
 from perception.errors import PortdockError
 from perception.estimate import PortEstimate
 from perception.geometry import Pose
@@ -39,6 +40,8 @@ log = logging.getLogger(__name__)
 
 RECORDING_NAME = "mission.mcap"
 REPORT_NAME = "report.html"
+CHARGER_LOSS_NAME = "charger-loss.log"
+"""The last seconds of CAN traffic before the charger fell silent: `portdock charger monitor --file` reads it."""
 
 
 class Display(Protocol):
@@ -129,11 +132,23 @@ def run_session(
 
 def close_recording(recorder: Recorder, cell: Cell, summary: MissionSummary) -> None:
     """The last things a recording needs to know."""
-    for name, device in (("arm", cell.arm), ("scanner", cell.scanner), ("charger", cell.charger)):
-        recorder.link(name, device.health())
+    for name, device in (("arm", cell.arm), ("scanner", cell.scanner), ("charger", cell.charger), ("car", cell.car)):
+        if device is not None:
+            recorder.link(name, device.health())
+    keep_charger_loss(recorder, cell.charger.traffic_before_loss())
     recorder.close(summary)
     if recorder.failure is not None:
         log.error("the recording is not complete: %s", recorder.failure)
+
+
+def keep_charger_loss(recorder: Recorder, frames: Sequence[CanFrame]) -> None:
+    """The bus's traffic before the charger was lost, inside the recording and beside it, as candump writes it."""
+    if not frames:
+        return
+    text = candump_text(frames)
+    recorder.attach(CHARGER_LOSS_NAME, text.encode(), "text/plain")
+    with suppress(OSError):
+        recorder.path.with_name(CHARGER_LOSS_NAME).write_text(text)
 
 
 def attach_context(recorder: Recorder, config: SiteConfig, model: PreparedModel, values: dict[str, str]) -> None:

@@ -119,6 +119,10 @@ class Supervisor:
         """What the heartbeat tells; the mission changes it in place."""
         return self._facts
 
+    def wake(self) -> None:
+        """Tick at once: something came in that cannot wait. From any thread."""
+        self._wake.set()
+
     def request_stop(self) -> None:
         """Finish safely, soon."""
         self._request.stop = True

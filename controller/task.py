@@ -117,4 +117,6 @@ class Task:
         """Ask the charger and insist. Raises MissionFault (charger-rejected)."""
         result = self.cell.ask(request, 5.0)
         if result is not RequestResult.DONE:
-            raise MissionFault(FaultCode.CHARGER_REJECTED, f"{request.name}: {result.name}")
+            reason = self.cell.charger.refusal() if result is RequestResult.REJECTED else ""
+            detail = f"{request.name}: {result.name}" + (f", {reason}" if reason else "")
+            raise MissionFault(FaultCode.CHARGER_REJECTED, detail)

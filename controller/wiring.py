@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from controller.arm_config import BoxConfig
+from controller.charger_config import check_can_protection
 from controller.config import SiteConfig
 from controller.config_section import ConfigError
 from controller.planning import ReachCheck
@@ -18,8 +19,9 @@ from drivers.arm.approach import why_not
 from drivers.arm.kinematics import JointLimits
 from drivers.arm.settings import UrSettings, Workspace
 from drivers.arm.ur import UrArm
-from drivers.base import Arm, Box, ByteSink, Charger, Clock, MonotonicClock, Scanner
+from drivers.base import Arm, Box, ByteSink, Car, Charger, Clock, MonotonicClock, Scanner
 from drivers.charger.can_charger import CanCharger
+from drivers.charger.car_listener import CarListener, CarSettings
 from drivers.charger.contract import Contract
 from drivers.charger.e2e import Scheme
 from drivers.charger.settings import CanSettings
@@ -39,6 +41,8 @@ class Devices:
     scanner: Scanner
     arm: Arm
     charger: Charger
+    car: Car | None = None
+    """What listens to the vehicle's own protocol, where the site has it."""
 
 
 def build_devices(config: SiteConfig, sink: ByteSink, clock: Clock) -> Devices:
@@ -47,6 +51,7 @@ def build_devices(config: SiteConfig, sink: ByteSink, clock: Clock) -> Devices:
         scanner=build_scanner(config.scanner, sink, clock),
         arm=UrArm(_arm_settings(config), sink, clock),
         charger=CanCharger(_can_settings(config), clock, sink),
+        car=_car_listener(config, clock),
     )
 
 
@@ -99,20 +104,28 @@ def _box(box: BoxConfig) -> Box:
 
 def _can_settings(config: SiteConfig) -> CanSettings:
     charger = config.charger
-    if charger.protection == "none" and not charger.accept_unprotected_can:
-        raise ConfigError(
-            "charger.protection is 'none': docking frames would be unprotected",
-            remedy="Choose a protection, or set charger.accept_unprotected_can: true.",
-        )
+    check_can_protection(charger)
     return CanSettings(
         channel=charger.channel,
         interface=charger.interface,
         bitrate=charger.bitrate_bps,
+        fd_data_bitrate=charger.fd_data_bitrate_bps,
+        tty_baudrate=charger.tty_baud_rate,
+        robot_address=charger.robot_address,
+        charger_address=charger.charger_address,
+        ack_timeout_s=charger.ack_timeout_ms / 1000.0,
         dbc=None if charger.dbc is None else Path(charger.dbc),
         protection=Scheme(charger.protection),
         degraded_s=charger.degraded_ms / 1000.0,
         lost_s=charger.lost_ms / 1000.0,
     )
+
+
+def _car_listener(config: SiteConfig, clock: Clock) -> CarListener | None:
+    car = config.charger.car
+    if car.protocol == "none":
+        return None
+    return CarListener(CarSettings(car.protocol, car.channel, car.interface, car.accept_virtual), clock)
 
 
 def limits_of(config: SiteConfig, port: PortDescription) -> Limits:

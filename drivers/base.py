@@ -7,6 +7,7 @@ what they receive with the host's monotonic clock and hand every byte, frame and
 from __future__ import annotations
 
 from drivers.interfaces.arm import Arm, ArmState, Box, Compliance, MotionProgress, RobotMode, SafetyMode
+from drivers.interfaces.car import Car, CarPhase, CarStatus
 from drivers.interfaces.charger import (
     Charger,
     ChargerRequest,
@@ -32,6 +33,9 @@ __all__ = [
     "Box",
     "ByteSink",
     "CanFrame",
+    "Car",
+    "CarPhase",
+    "CarStatus",
     "Charger",
     "ChargerRequest",
     "ChargerState",

@@ -124,7 +124,11 @@ def for_mocks(site: SiteConfig, fast: bool = False) -> SiteConfig:
             "watchdog_hz": min(0.5, arm.watchdog_hz),
             "frequency_hz": 125,
         },
-        "charger": {"degraded_ms": max(1000.0, charger.degraded_ms), "lost_ms": max(3000.0, charger.lost_ms)},
+        "charger": {
+            "degraded_ms": max(1000.0, charger.degraded_ms),
+            "lost_ms": max(3000.0, charger.lost_ms),
+            "ack_timeout_ms": max(2000.0, charger.ack_timeout_ms),
+        },
         "scanner": {
             "silence_ms": max(5000.0, site.scanner.silence_ms),
             "sync": "shared_clock" if fast and site.scanner.sync == "timestamp" else site.scanner.sync,

@@ -8,8 +8,8 @@ from __future__ import annotations
 
 from collections import Counter
 
+from drivers.base import CarPhase, CarStatus
 from drivers.charger.car_messages import NewestMessages
-from drivers.interfaces.car import CarPhase, CarStatus
 
 _FRESH_S = 1.0
 _FLOWING_A = 1.0

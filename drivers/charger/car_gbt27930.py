@@ -9,9 +9,9 @@ from __future__ import annotations
 import math
 from collections import Counter
 
+from drivers.base import CarPhase, CarStatus
 from drivers.charger.car_messages import NewestMessages
 from drivers.charger.car_transport import CONNECTION_PF, DATA_PF, Identifier, Transport
-from drivers.interfaces.car import CarPhase, CarStatus
 
 CHARGER, VEHICLE = 0x56, 0xF4
 _FAST_S, _SLOW_S = 1.0, 5.0

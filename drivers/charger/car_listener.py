@@ -11,13 +11,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
 
-from drivers.base import ByteSink, CanFrame, Clock, LinkHealth, LinkOpenError, NullSink
+from drivers.base import ByteSink, CanFrame, CarPhase, CarStatus, Clock, LinkHealth, LinkOpenError, NullSink
 from drivers.charger.bus_link import BusLink
 from drivers.charger.car_chademo import Chademo
 from drivers.charger.car_gbt27930 import Gbt27930
 from drivers.charger.kernel_link import KernelLink, check_bit_rate, check_listen_only, read_kernel_link
 from drivers.charger.settings import CanSettings
-from drivers.interfaces.car import CarPhase, CarStatus
 
 
 class CarProtocol(Protocol):
@@ -60,7 +59,6 @@ class CarListener:
         self._settings, self._clock, self._kernel_link = settings, clock, kernel_link
         self._decoder = PROTOCOLS[settings.protocol]()
         self._lock = threading.Lock()
-        self._charging: list[float] = []
         can_settings = CanSettings(settings.channel, settings.interface, self._decoder.bitrate)
         self._link = BusLink(can_settings, clock, sink or NullSink(), self._take, None)
 
@@ -87,11 +85,6 @@ class CarListener:
         with self._lock:
             return self._decoder.status(self._clock.now_s())
 
-    def charged_between(self, begin_s: float, end_s: float) -> bool:
-        """Whether the vehicle itself said within these host times that current flowed into it."""
-        with self._lock:
-            return any(begin_s <= time_s <= end_s for time_s in self._charging)
-
     def health(self) -> LinkHealth:
         """Heard of late, and every counter."""
         status = self.status()
@@ -108,11 +101,3 @@ class CarListener:
     def _take(self, frame: CanFrame) -> None:
         with self._lock:
             self._decoder.take(frame.arbitration_id, frame.is_extended, frame.data, frame.time_s)
-            if self._decoder.status(frame.time_s).phase is CarPhase.CHARGING:
-                self._note_charging(frame.time_s)
-
-    def _note_charging(self, now_s: float) -> None:
-        """Once a second is enough."""
-        if not self._charging or now_s - self._charging[-1] >= 1.0:
-            self._charging.append(now_s)
-            del self._charging[:-36_000]

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import enum
 from dataclasses import dataclass
+from typing import Protocol
+
+from drivers.interfaces.link import LinkHealth
 
 
 class CarPhase(enum.Enum):
@@ -34,3 +37,18 @@ class CarStatus:
     charge_percent: float
     reason: str = ""
     """Why it ends, in the protocol's words."""
+
+
+class Car(Protocol):
+    """What listens to the vehicle, and never sends."""
+
+    def open(self) -> None:
+        """Raises LinkOpenError, also for an interface that the kernel would let send."""
+
+    def close(self) -> None:
+        """Idempotent."""
+
+    def status(self) -> CarStatus:
+        """How the vehicle stands now; SILENT when nothing is heard."""
+
+    def health(self) -> LinkHealth: ...

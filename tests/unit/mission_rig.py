@@ -230,6 +230,9 @@ class StandInCharger:
     def result(self, sequence: int) -> RequestResult:
         return RequestResult.DONE
 
+    def refusal(self) -> str:
+        return ""
+
     def publish(self, pose: DockPose | None) -> None:
         self.poses.append(pose)
 
