@@ -31,8 +31,6 @@ class Looking:
     def __init__(self, cell: Cell, config: SiteConfig) -> None:
         self._cell = cell
         self._config = config
-        self._shape = load_port(config.port.model).shape
-        self._window_m = scanner_facts(config.scanner).window_m
         self._clouds: list[Cloud] = []
         self._spoiled = 0
         self.scans_made = 0
@@ -54,16 +52,7 @@ class Looking:
 
     def passes(self) -> tuple[Viewpoint, ...]:
         """The next sweep: each scan from another viewpoint."""
-        views, config = self._config.scan.viewpoints, self._config
-        return plan_passes(
-            config.port.T_base_port.pose,
-            views[self.scans_made % len(views)],
-            config.scan,
-            self._shape,
-            self._window_m,
-            config.scanner.T_flange_scanner.pose,
-            config.arm.T_flange_tcp.pose,
-        )
+        return plan_view(self._config, self.scans_made)
 
     def viewpoint(self) -> Viewpoint:
         """The first pass of the next sweep, for staging."""
@@ -109,6 +98,20 @@ class Looking:
         port = self._config.port
         tilt, roll = np.deg2rad([port.tilt_deg, port.roll_deg])
         return Prior(port.T_base_port.pose, port.lateral_mm / 1000.0, port.along_mm / 1000.0, float(tilt), float(roll))
+
+
+def plan_view(config: SiteConfig, number: int) -> tuple[Viewpoint, ...]:
+    """The passes of the sweep from the configured viewpoint with this number, counted round."""
+    views = config.scan.viewpoints
+    return plan_passes(
+        config.port.T_base_port.pose,
+        views[number % len(views)],
+        config.scan,
+        load_port(config.port.model).shape,
+        scanner_facts(config.scanner).window_m,
+        config.scanner.T_flange_scanner.pose,
+        config.arm.T_flange_tcp.pose,
+    )
 
 
 def _refused(model: str, prior: Prior, error: InputError) -> PortEstimate:

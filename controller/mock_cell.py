@@ -38,14 +38,19 @@ class MockCell:
         seed: int,
         time_scale: float,
         can: tuple[str, str] | None = None,
+        scanner_options: tuple[str, ...] = (),
     ) -> None:
-        """``can``: python-can interface and channel of the charger's bus; None is an slcan adapter of its own."""
+        """``can``: python-can interface and channel of the charger's bus; None is an slcan adapter of its own.
+
+        ``scanner_options``: further options of the mock scanner.
+        """
         self._folder = folder
         self._base = config
         self._scenario = scenario
         self._seed = seed
         self._time_scale = time_scale
         self._can = can or ("slcan", str(folder / "can"))
+        self._more_scanner_options = scanner_options
         self._processes: list[subprocess.Popen[str]] = []
         self.config = config
 
@@ -92,7 +97,7 @@ class MockCell:
         if scanner.protocol == "profiler2":
             options += ["--reference-m", f"{scanner.profiler2.reference_mm / 1000.0:g}"]
             options += ["--address-in-words"] if scanner.profiler2.address_in_words else []
-        return options
+        return [*options, *self._more_scanner_options]
 
     def _charger_options(self) -> list[str]:
         """Where the mock charger is reached, and the contract as the site has it."""
@@ -126,6 +131,7 @@ class MockCell:
                 subprocess.Popen(
                     [sys.executable, "-m", "mocks", name, *arguments],
                     stdin=subprocess.DEVNULL,
+                    start_new_session=True,  # a Ctrl-C at the terminal is the controller's to handle
                     stdout=subprocess.PIPE,
                     stderr=log,
                     text=True,

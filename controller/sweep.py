@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
@@ -34,44 +35,92 @@ class SweepError(PortdockError):
     default_remedy: ClassVar[str] = "Scan again; if it recurs, check the scanner's cable and the load of this computer."
 
 
-def join(
-    profiles: Sequence[Profile],
-    arm_states: Sequence[ArmState],
-    T_flange_scanner: Pose,
-    latency_s: float,
-    *,
-    arm_latency_s: float = 0.0,
-    time_scale: float = 1.0,
-    max_lost_share: float = MAX_LOST_SHARE,
-    shared_clock: bool = False,
-    clock_period_s: float | None = None,
-) -> Scan:
-    """The scan that profiles and arm samples make together.
+@dataclass(frozen=True, slots=True)
+class Timing:
+    """How profiles and arm samples, each with its own clock, come to one time."""
 
-    Both clocks are fitted to the host's by the lower envelope of delivery, then the flange's pose is interpolated at
-    each profile's time. Profiles from before the first or after the last arm sample are left out.
+    latency_s: float = 0.0
+    """Least delay from a profile's device time stamp (the middle of its exposure) to its last byte: half the exposure,
+    wire time and what calibration found. In the device's seconds."""
+    arm_latency_s: float = 0.0
+    """The same for an arm sample."""
+    time_scale: float = 1.0
+    """Device seconds per host second: not 1 only where mocks run faster than the wall clock."""
+    max_lost_share: float = MAX_LOST_SHARE
+    shared_clock: bool = False
+    """Scanner and arm stamp by one clock: no fit over the host's is needed, delays do not matter."""
+    clock_period_s: float | None = None
+    """With a shared clock: the scanner's stamps start again after so long, the arm's do not."""
 
-    :param latency_s: least delay from a profile's device time stamp (the middle of its exposure) to its last byte:
-        half the exposure, wire time and what calibration found. In the device's seconds
-    :param arm_latency_s: the same for an arm sample
-    :param shared_clock: scanner and arm stamp by one clock: no fit over the host's is needed, delays do not matter
-    :param clock_period_s: with a shared clock: the scanner's stamps start again after so long, the arm's do not
-    :param time_scale: device seconds per host second: not 1 only where mocks run faster than the wall clock
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Timed:
+    """Profiles and the flange's track in one time."""
+
+    profiles: tuple[Profile, ...]
+    times_s: Array
+    """(K,) when each profile was measured."""
+    track_s: Array
+    """(N,) growing."""
+    track: tuple[Pose, ...]
+    """T_base_flange at ``track_s``."""
+
+
+def timed(profiles: Sequence[Profile], arm_states: Sequence[ArmState], timing: Timing) -> Timed:
+    """Bring both into one time: both clocks are fitted to the host's by the lower envelope of delivery.
+
+    Profiles from before the first or after the last arm sample are left out.
+
     :raises SweepError: too few or too many lost profiles, no arm samples, or a clock that jumps
     """
     if len(arm_states) < 2:
         raise SweepError(f"{len(arm_states)} arm samples are too few to place profiles by")
-    if shared_clock:
+    rate = 1.0 / timing.time_scale
+    if timing.shared_clock:
         kept_arm, arm_s = _growing(arm_states)
-        times_s = _same_period(_device_times(profiles), profiles, arm_states, clock_period_s)
+        device_s = _device_times(profiles)
+        times_s = _same_period(device_s, profiles, arm_states, timing.clock_period_s)
     else:
-        kept_arm, arm_s = _arm_times(arm_states, arm_latency_s, 1.0 / time_scale)
-        times_s = _profile_times(profiles, latency_s, 1.0 / time_scale)
+        kept_arm, arm_s = _arm_times(arm_states, timing.arm_latency_s, rate)
+        times_s = _profile_times(profiles, timing.latency_s, rate)
     inside = (times_s >= arm_s[0]) & (times_s <= arm_s[-1])
     kept = [profile for profile, known in zip(profiles, inside, strict=True) if known]
-    _refuse_gaps(kept, len(profiles), max_lost_share)
-    poses = interpolate(arm_s, [state.T_base_flange for state in kept_arm], times_s[inside])
-    return Scan(tuple(kept), tuple(poses), T_flange_scanner)
+    _refuse_gaps(kept, len(profiles), timing.max_lost_share)
+    return Timed(tuple(kept), times_s[inside], arm_s, tuple(state.T_base_flange for state in kept_arm))
+
+
+def scan_of(sweep: Timed, T_flange_scanner: Pose) -> Scan:
+    """The scan: the flange's pose interpolated at each profile's time."""
+    poses = interpolate(sweep.track_s, sweep.track, sweep.times_s)
+    return Scan(sweep.profiles, tuple(poses), T_flange_scanner)
+
+
+def join(
+    profiles: Sequence[Profile], arm_states: Sequence[ArmState], T_flange_scanner: Pose, timing: Timing | None = None
+) -> Scan:
+    """The scan that profiles and arm samples make together: ``timed``, then ``scan_of``. Raises SweepError."""
+    return scan_of(timed(profiles, arm_states, timing or Timing()), T_flange_scanner)
+
+
+def clock_facts(
+    profiles: Sequence[Profile], states: Sequence[ArmState], time_scale: float
+) -> tuple[tuple[str, str], ...]:
+    """Offset, drift and spread of both clocks on the host's, as texts for a recording."""
+    samples = {
+        "arm": [(state.device_time_s, state.time_s) for state in _growing(states)[0]] if states else [],
+        "scanner": [(p.device_time_s, p.time_s) for p in profiles if p.device_time_s is not None],
+    }
+    facts = []
+    for name, pairs in samples.items():
+        if pairs:
+            device_s, host_s = np.array(pairs).T
+            fit = fit_clock(device_s, host_s, rate=1.0 / time_scale)
+            facts += [
+                (f"{name}_offset_s", f"{fit.offset_s:.6f}"),
+                (f"{name}_drift_ppm", f"{fit.drift * 1e6:.2f}"),
+                (f"{name}_spread_ms", f"{fit.spread_s * 1e3:.3f}"),
+            ]
+    return tuple(facts)
 
 
 def lost_profiles(profiles: Sequence[Profile]) -> int:

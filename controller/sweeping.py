@@ -1,12 +1,13 @@
 """Ways to sweep: how the arm moves while the laser looks, and how each profile finds the pose it was taken from.
 
-``timestamp`` and ``shared_clock``: the arm moves on, poses are interpolated at the profiles' times (``sweep.join``).
+``timestamp`` and ``shared_clock``: the arm moves on, poses are interpolated at the profiles' times.
 ``stop_and_go``: the arm rests for each profile, so that times decide nothing.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 
 import numpy as np
 
@@ -16,7 +17,7 @@ from controller.config import SiteConfig
 from controller.faults import FaultCode, MissionFault
 from controller.planning import Viewpoint
 from controller.scanner_facts import scanner_facts
-from controller.sweep import MIN_PROFILES, SweepError, join
+from controller.sweep import MIN_PROFILES, SweepError, Timing, scan_of, timed
 from drivers.base import ArmState
 from perception.geometry import Pose
 from perception.scan import Profile, Scan
@@ -68,39 +69,16 @@ def run_sweep(cell: Cell, config: SiteConfig, passes: Sequence[Viewpoint], repor
     :raises MissionFault: no profile comes, or the arm fails
     :raises SweepError: the sweep cannot be used
     """
-    collector = Collector(cell, passes, report)
-    way = _stop_and_go if config.scanner.sync == "stop_and_go" else _moving
-    began_s = cell.wall.now_s()
-    try:
-        cell.do(Laser(on=True))
-        if not cell.supervisor.wait(collector.collect, FIRST_PROFILE_S):
-            raise MissionFault(FaultCode.SCAN_FAILED, "the laser is on but no profile comes")
-        join_up = way(cell, config, passes, collector, began_s)
-    finally:
-        cell.do(Laser(on=False))
-    return join_up()
+    if config.scanner.sync == "stop_and_go":
+        return _stop_and_go(cell, config, passes, report)
+    profiles, states = take_moving(cell, config, passes, report)
+    return scan_of(timed(profiles, states, timing_of(cell, config)), config.scanner.T_flange_scanner.pose)
 
 
-def _moving(
-    cell: Cell, config: SiteConfig, passes: Sequence[Viewpoint], collector: Collector, began_s: float
-) -> Callable[[], Scan]:
-    """Each pass at constant speed; poses by time."""
-    states: list[ArmState] = cell.arm.history(began_s - CLOCK_HISTORY_S)
-    for number, view in enumerate(passes):
-        collector.current = number
-        if number:
-            collector.travel(view.T_base_tcp_start, config)
-        collector.travel(view.T_base_tcp_end, config)
-        states += cell.arm.history(states[-1].time_s if states else began_s)
-    profiles = collector.profiles
-    seen_s = _device_time_at(cell.wall.now_s(), profiles, cell.time_scale)
-    cell.supervisor.wait(lambda: collector.collect() and _newest_s(profiles) >= seen_s, TRAILING_S)
-    states += cell.arm.history(states[-1].time_s if states else began_s)
+def timing_of(cell: Cell, config: SiteConfig) -> Timing:
+    """How profiles and arm samples of this cell come to one time."""
     scanner = config.scanner
-    return lambda: join(
-        profiles,
-        states,
-        scanner.T_flange_scanner.pose,
+    return Timing(
         latency_s=cell.profile_latency_s,
         time_scale=cell.time_scale,
         max_lost_share=scanner.max_lost_profiles_percent / 100.0,
@@ -109,24 +87,60 @@ def _moving(
     )
 
 
-def _stop_and_go(
-    cell: Cell, config: SiteConfig, passes: Sequence[Viewpoint], collector: Collector, began_s: float
-) -> Callable[[], Scan]:
+@contextmanager
+def _laser(cell: Cell, collector: Collector) -> Iterator[None]:
+    """On until the first profile comes and while the body runs, then off whatever happened."""
+    try:
+        cell.do(Laser(on=True))
+        if not cell.supervisor.wait(collector.collect, FIRST_PROFILE_S):
+            raise MissionFault(FaultCode.SCAN_FAILED, "the laser is on but no profile comes")
+        yield
+    finally:
+        cell.do(Laser(on=False))
+
+
+def take_moving(
+    cell: Cell, config: SiteConfig, passes: Sequence[Viewpoint], report: ProgressReport
+) -> tuple[list[Profile], list[ArmState]]:
+    """Each pass at constant speed; the profiles and the arm's samples around them. Raises MissionFault."""
+    collector, began_s = Collector(cell, passes, report), cell.wall.now_s()
+    states: list[ArmState] = cell.arm.history(began_s - CLOCK_HISTORY_S)
+
+    def remember() -> None:
+        states.extend(cell.arm.history(states[-1].time_s if states else began_s))
+
+    with _laser(cell, collector):
+        for number, view in enumerate(passes):
+            collector.current = number
+            if number:
+                collector.travel(view.T_base_tcp_start, config)
+            collector.travel(view.T_base_tcp_end, config)
+            remember()
+        profiles = collector.profiles
+        seen_s = _device_time_at(cell.wall.now_s(), profiles, cell.time_scale)
+        cell.supervisor.wait(lambda: collector.collect() and _newest_s(profiles) >= seen_s, TRAILING_S)
+    remember()
+    return profiles, states
+
+
+def _stop_and_go(cell: Cell, config: SiteConfig, passes: Sequence[Viewpoint], report: ProgressReport) -> Scan:
     """One profile from each stop: the first that was surely taken at rest."""
+    collector = Collector(cell, passes, report)
     taken: list[tuple[Profile, Pose]] = []
     missed = 0
-    for number, view in enumerate(passes):
-        collector.current = number
-        for target in _stops(view, config.scan.step_mm / 1000.0):
-            collector.travel(target, config)
-            cell.settle(STILL_M_S, TRAILING_S)
-            profile, state = _at_rest(cell, collector), cell.arm_state()
-            if profile is None or state is None:
-                missed += 1
-            else:
-                taken.append((profile, state.T_base_flange))
-            collector.profiles.clear()
-    return lambda: _of_stops(taken, missed, config)
+    with _laser(cell, collector):
+        for number, view in enumerate(passes):
+            collector.current = number
+            for target in _stops(view, config.scan.step_mm / 1000.0):
+                collector.travel(target, config)
+                cell.settle(STILL_M_S, TRAILING_S)
+                profile, state = _at_rest(cell, collector), cell.arm_state()
+                if profile is None or state is None:
+                    missed += 1
+                else:
+                    taken.append((profile, state.T_base_flange))
+                collector.profiles.clear()
+    return _of_stops(taken, missed, config)
 
 
 def _at_rest(cell: Cell, collector: Collector) -> Profile | None:

@@ -8,7 +8,22 @@ from typing import Annotated
 
 import typer
 
-from controller.cli import charger, config, doctor, dry_run, evaluate, locate, merge, mock, recording, scanner, states
+from controller.cli import (
+    calibrate,
+    charger,
+    config,
+    convert,
+    doctor,
+    dry_run,
+    evaluate,
+    locate,
+    merge,
+    mock,
+    recording,
+    scan,
+    scanner,
+    states,
+)
 from controller.config_section import ConfigError
 from controller.faults import MissionFault
 from drivers.base import DriverError
@@ -33,12 +48,15 @@ app.command("run")(dry_run.run)
 app.command("locate")(locate.locate)
 app.command("merge")(merge.merge)
 app.command("states")(states.states)
+app.command("scan")(scan.scan)
+app.command("convert")(convert.convert)
 app.command("doctor")(doctor.doctor)
 app.add_typer(config.app, name="config")
 app.add_typer(mock.app, name="mock")
 app.add_typer(recording.app, name="recording")
 app.add_typer(charger.app, name="charger")
 app.add_typer(scanner.app, name="scanner")
+app.add_typer(calibrate.app, name="calibrate")
 app.add_typer(evaluate.app, name="evaluate")
 
 

@@ -20,6 +20,7 @@ from controller.recording import schemas
 from controller.recording.errors import RecordingFileError
 from controller.recording.reader import Recording
 from controller.recording.records import ARM_STATE, decode_can_frame
+from perception.cloud_write import ply_bytes
 from perception.geometry import Array
 
 _CAN_CHANNEL = "can0"
@@ -109,15 +110,6 @@ def _write_frames(writer: can.CanutilsLogWriter | can.BLFWriter, frames: list[ca
     with writer:
         for frame in frames:
             writer.on_message_received(frame)
-
-
-def ply_bytes(points: Array, frame: str) -> bytes:
-    """Points (N, 3) in metres as a binary little-endian PLY file."""
-    header = (
-        f"ply\nformat binary_little_endian 1.0\ncomment portdock: metres, frame {frame}\nelement vertex {len(points)}\n"
-    )
-    properties = "".join(f"property double {axis}\n" for axis in "xyz")
-    return (header + properties + "end_header\n").encode() + np.ascontiguousarray(points, dtype="<f8").tobytes()
 
 
 def arm_columns(recording: Recording) -> tuple[str, Array]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from controller.sweep import SweepError, join, lost_profiles
+from controller.sweep import SweepError, Timing, join, lost_profiles
 from drivers.base import ArmState, RobotMode, SafetyMode
 from perception.geometry import Pose
 from perception.scan import Profile
@@ -42,7 +42,7 @@ def sweep(
 
 
 def worst_error_m(profiles: list[Profile], states: list[ArmState], **options: float) -> float:
-    scan = join(profiles, states, HAND_EYE, options.pop("latency_s", 0.0), **options)
+    scan = join(profiles, states, HAND_EYE, Timing(**options))  # type: ignore[arg-type]
     true = [flange_at(0.5 + profile.sequence / 70) for profile in scan.profiles]
     return max(a.distance_to(b) for a, b in zip(scan.T_base_flange, true, strict=True))
 
@@ -73,14 +73,14 @@ def test_a_world_that_runs_faster_than_the_wall_clock_joins_as_well() -> None:
 
 def test_a_clock_of_another_rate_is_refused_not_fitted() -> None:
     with pytest.raises(SweepError, match="clock"):
-        join(*sweep(scale=5.0), HAND_EYE, 0.0)
+        join(*sweep(scale=5.0), HAND_EYE)
 
 
 def test_a_sweep_without_any_prompt_profile_is_refused_for_its_place_is_uncertain() -> None:
     profiles, states = sweep()
     late = [Profile(p.sequence, p.time_s + 0.5 + 0.004 * p.sequence, p.device_time_s, p.points) for p in profiles]
     with pytest.raises(SweepError, match="uncertain when"):
-        join(late, states, HAND_EYE, 0.0)
+        join(late, states, HAND_EYE)
     delayed = [
         Profile(p.sequence, p.time_s + 0.004 * max(0, p.sequence - 50), p.device_time_s, p.points) for p in profiles
     ]
@@ -89,7 +89,7 @@ def test_a_sweep_without_any_prompt_profile_is_refused_for_its_place_is_uncertai
 
 def test_profiles_outside_the_known_arm_times_are_left_out() -> None:
     profiles, states = sweep()
-    scan = join(profiles, states[500:3000], HAND_EYE, 0.0)
+    scan = join(profiles, states[500:3000], HAND_EYE)
     assert 0.5 + scan.profiles[0].sequence / 70 >= 1.0
     assert 0.5 + scan.profiles[-1].sequence / 70 <= 6.0
 
@@ -98,21 +98,21 @@ def test_lost_profiles_are_counted_and_too_many_refused() -> None:
     profiles, states = sweep()
     thinned = [profile for profile in profiles if profile.sequence % 20 != 3]
     assert lost_profiles(thinned) == sum(1 for p in profiles[:-1] if p.sequence % 20 == 3)
-    assert len(join(thinned, states, HAND_EYE, 0.0).profiles) == len(thinned)
+    assert len(join(thinned, states, HAND_EYE).profiles) == len(thinned)
     with pytest.raises(SweepError, match=r"2\d\d of 4\d\d profiles were lost \(50%"):
-        join(profiles[::2], states, HAND_EYE, 0.0)
+        join(profiles[::2], states, HAND_EYE)
 
 
 def test_a_sweep_without_profiles_or_arm_samples_is_refused() -> None:
     profiles, states = sweep()
     with pytest.raises(SweepError, match="arm samples"):
-        join(profiles, states[:1], HAND_EYE, 0.0)
+        join(profiles, states[:1], HAND_EYE)
     with pytest.raises(SweepError, match="0 usable profiles"):
-        join([], states, HAND_EYE, 0.0)
+        join([], states, HAND_EYE)
 
 
 def test_the_cloud_lies_where_the_laser_saw_it() -> None:
     profiles, states = sweep()
-    cloud = join(profiles, states, HAND_EYE, 0.0).to_cloud()
+    cloud = join(profiles, states, HAND_EYE).to_cloud()
     expected = (flange_at(0.5) @ HAND_EYE).apply(np.array([[0.0, 0.0, 0.3]]))
     np.testing.assert_allclose(cloud.points[:1], expected, atol=1e-7)
