@@ -7,6 +7,9 @@ Prints one JSON line, ``{"device": PATH, "protocol": ..., "pid": ...}``, when it
   ``port_shape.json`` (WorldSpec.save_shape) and ``blackboard`` (Blackboard.create);
 - any other value: the path of a recorded sweep (.npz, see mocks/scanner/sources.py).
 
+``--recording FILE`` plays a recording's scanner bytes back as they were (mocks/scanner/recorded_line.py); a client that
+asks something else than the recorded one ends the mock with exit code 1.
+
 SIGUSR1 pulls the plug: the symlink goes and an open client's line breaks. SIGUSR2 plugs it in again under another pty.
 Without ``--baud`` the device speaks at whatever rate the client has set; with it, a client at another rate gets
 garbage.
@@ -30,9 +33,11 @@ from pathlib import Path
 import numpy as np
 
 from mocks.scanner.emulated_clock import EmulatedClock
+from mocks.scanner.ld19 import Ld19Device
 from mocks.scanner.paced_wire import PacedWire
 from mocks.scanner.profiler2 import Profiler2Device
 from mocks.scanner.pty_line import PtyLine
+from mocks.scanner.recorded_line import RecordedDevice, read_conversation
 from mocks.scanner.scip import ScipDevice
 from mocks.scanner.server import Device, serve
 from mocks.scanner.sources import GrooveSource, RecordedSource, Source
@@ -49,8 +54,10 @@ def main(arguments: list[str] | None = None) -> int:
     sys.setswitchinterval(0.0005)  # the optics' thread must not hold up the line
     if options.source == "world" and options.world is None:
         parser.error("--source world needs --world DIR")
-    if options.protocol == "scip" and options.source != "groove":
-        parser.error("--protocol scip sees a room of its own: it takes no --source")
+    if options.preset == "ld19" and options.protocol != "framed":
+        parser.error("--preset belongs to --protocol framed")
+    if (options.protocol == "scip" or options.preset == "ld19") and options.source != "groove":
+        parser.error("this device sees a room of its own: it takes no --source")
     logging.basicConfig(level=logging.INFO, format="%(asctime)s %(name)s %(message)s")
     stopping = threading.Event()
     for number in (signal.SIGTERM, signal.SIGINT):
@@ -61,6 +68,8 @@ def main(arguments: list[str] | None = None) -> int:
     link = options.link or Path(own_folder.name if own_folder else "") / "scanner"
     line = PtyLine(link)
     rates = FaultRates(options.lost, options.doubled, options.flipped, options.stall_at_s, options.stall_s)
+    if options.preset == "ld19":  # it streams whether or not somebody reads: a port that is closed keeps little of it
+        options.buffer_bytes = min(options.buffer_bytes, 4096)
     buffer_bytes = int(options.buffer_bytes * max(1.0, clock.scale))  # the client's wall time to react stays the same
     wire = PacedWire(line, WireFaults(rates, rng), options.baud, buffer_bytes)
     timing = StreamTiming(
@@ -71,15 +80,7 @@ def main(arguments: list[str] | None = None) -> int:
         options.clock_offset_s,
         options.drift_ppm,
     )
-    device: Device
-    if options.protocol == "profiler2":
-        device = Profiler2Device(
-            source, wire, clock, reference_m=options.reference_m, address_in_words=options.address_in_words
-        )
-    elif options.protocol == "scip":
-        device = ScipDevice(wire, clock, clock_offset_s=options.clock_offset_s, ppm=options.drift_ppm)
-    else:
-        device = StreamingDevice(source, wire, timing, clock, rng)
+    device = _device(options, source, wire, timing, clock, rng)
     requests: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
     signal.signal(signal.SIGUSR1, lambda *_: requests.put(line.unplug))
     signal.signal(signal.SIGUSR2, lambda *_: requests.put(line.plug_in))
@@ -92,7 +93,29 @@ def main(arguments: list[str] | None = None) -> int:
         line.unplug()
         if own_folder is not None:
             own_folder.cleanup()
-    return 0
+    return 1 if isinstance(device, RecordedDevice) and device.mismatch else 0
+
+
+def _device(
+    options: argparse.Namespace,
+    source: Source,
+    wire: PacedWire,
+    timing: StreamTiming,
+    clock: EmulatedClock,
+    rng: np.random.Generator,
+) -> Device:
+    own_time = {"clock_offset_s": options.clock_offset_s, "ppm": options.drift_ppm}
+    if options.recording is not None:
+        return RecordedDevice(read_conversation(options.recording), wire, clock)
+    if options.protocol == "profiler2":
+        return Profiler2Device(
+            source, wire, clock, reference_m=options.reference_m, address_in_words=options.address_in_words
+        )
+    if options.protocol == "scip":
+        return ScipDevice(wire, clock, **own_time)
+    if options.preset == "ld19":
+        return Ld19Device(wire, clock, **own_time)
+    return StreamingDevice(source, wire, timing, clock, rng)
 
 
 def _source(options: argparse.Namespace, rng: np.random.Generator) -> tuple[Source, EmulatedClock]:
@@ -112,7 +135,9 @@ def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="mocks.scanner", description="A mock laser scanner on a pty.")
     add = parser.add_argument
     add("--link", type=Path, help="symlink to make, the device name that clients open; default: one of its own")
-    add("--protocol", choices=("framed", "profiler2", "scip"), default="framed", help="framed: the preset wide_xz")
+    add("--protocol", choices=("framed", "profiler2", "scip"), default="framed", help="framed: see --preset")
+    add("--preset", choices=("wide_xz", "ld19"), default="wide_xz", help="framed: which device")
+    add("--recording", type=Path, help="a recording (.mcap) whose scanner bytes are played back; overrides --protocol")
     add("--source", default="groove", help="groove, world, or the path of a recorded sweep (.npz)")
     add("--world", type=Path, help="folder of the mock world, for --source world")
     add("--baud", type=int, help="the device's own baud rate; default: the client's")

@@ -1,0 +1,106 @@
+"""A recorded conversation is played back byte for byte, and a client that says something else is found out."""
+
+from __future__ import annotations
+
+import signal
+from pathlib import Path
+
+import numpy as np
+import serial
+
+from controller.recording.reader import read_recording
+from controller.recording.recorder import Recorder
+from controller.scanner_files import load_scanner
+from drivers.base import ByteSink, MonotonicClock, NullSink, Scanner
+from drivers.scanner.framed import FramedScanner, FramedTimeouts
+from drivers.scanner.profiler2 import Profiler2, Profiler2Settings
+from drivers.scanner.serial_link import SerialSettings
+from perception.scan import Profile
+from tests.contract.scanner_bench import mock, take, until
+
+
+def framed(link: Path, sink: ByteSink, name: str = "wide_xz") -> Scanner:
+    description = load_scanner(name)
+    settings = SerialSettings(str(link), description.baud_rate)
+    return FramedScanner(settings, description.layout, sink, MonotonicClock(), FramedTimeouts(5.0, 3, 10.0))
+
+
+def profiler2(link: Path, sink: ByteSink) -> Scanner:
+    settings = Profiler2Settings(thinning=8, answer_s=5.0, silence_s=10.0)
+    return Profiler2(SerialSettings(str(link), 921_600), settings, sink, MonotonicClock())
+
+
+def swept(scanner: Scanner, count: int) -> list[Profile]:
+    scanner.open()
+    try:
+        scanner.start()
+        profiles = take(scanner, count)
+        scanner.stop()
+        return (profiles + scanner.take())[:count]
+    finally:
+        scanner.close()
+
+
+def recorded(scanner: Scanner, recorder: Recorder, count: int) -> list[Profile]:
+    try:
+        return swept(scanner, count)
+    finally:
+        recorder.close()
+
+
+def test_a_streaming_scanners_bytes_come_again_as_they_were(tmp_path: Path) -> None:
+    file, dev = tmp_path / "sweep.mcap", tmp_path / "dev"
+    recorder = Recorder(file, MonotonicClock())
+    with mock(dev):
+        first = recorded(framed(dev, recorder), recorder, 10)
+    again = Recorder(tmp_path / "again.mcap", MonotonicClock())
+    with mock(dev, "--recording", str(file)) as process:
+        second = recorded(framed(dev, again), again, 10)
+        process.terminate()
+        assert process.wait(10) == 0
+    rx = [b"".join(c.data for c in read_recording(p).scanner_chunks("rx")) for p in (file, tmp_path / "again.mcap")]
+    assert rx[1] == rx[0]
+    for a, b in zip(first, second, strict=True):
+        assert (a.sequence, a.device_time_s) == (b.sequence, b.device_time_s)
+        np.testing.assert_array_equal(a.points, b.points)
+
+
+def test_a_question_and_answer_device_answers_the_recorded_questions(tmp_path: Path) -> None:
+    file, dev = tmp_path / "sweep.mcap", tmp_path / "dev"
+    recorder = Recorder(file, MonotonicClock())
+    with mock(dev, "--protocol", "profiler2"):
+        first = recorded(profiler2(dev, recorder), recorder, 3)
+    with mock(dev, "--recording", str(file)) as process:
+        second = swept(profiler2(dev, NullSink()), 3)
+        process.send_signal(signal.SIGTERM)
+        process.wait(10)
+    for a, b in zip(first, second, strict=True):
+        assert a.device_time_s == b.device_time_s
+        np.testing.assert_array_equal(a.points, b.points)
+
+
+def test_a_client_that_says_something_else_ends_the_replay_with_exit_code_1(tmp_path: Path) -> None:
+    file, dev = tmp_path / "sweep.mcap", tmp_path / "dev"
+    recorder = Recorder(file, MonotonicClock())
+    with mock(dev):
+        recorded(framed(dev, recorder), recorder, 2)
+    with mock(dev, "--recording", str(file)) as process:
+        with serial.Serial(str(dev), 3_000_000, timeout=0.2) as other:
+            other.write(b"L7\r\n")
+            until(lambda: other.out_waiting == 0, "the question is taken")
+            assert other.read(100) == b""
+        process.terminate()
+        assert process.wait(10) == 1
+
+
+def test_an_ld19_streams_by_itself_and_is_read_by_its_description(tmp_path: Path) -> None:
+    with mock(tmp_path / "dev", "--preset", "ld19"):
+        scanner = framed(tmp_path / "dev", NullSink(), "ld19")
+        profiles = swept(scanner, 60)
+    for profile in profiles:
+        ranges_mm = np.linalg.norm(profile.points, axis=1) * 1e3
+        degrees = np.degrees(np.arctan2(profile.points[:, 0], profile.points[:, 1])) % 360
+        expected = 2000 - 500 * np.exp(-(((degrees - 90.0) / 10.0) ** 2))
+        assert np.abs(ranges_mm - expected).max() < 1.5
+    counters = dict(scanner.health().counters)
+    assert counters["frames"] >= 60
