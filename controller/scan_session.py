@@ -23,7 +23,7 @@ from controller.recording.recorder import Recorder
 from controller.states import State
 from controller.sweep import clock_facts
 from controller.sweeping import CLOCK_HISTORY_S, ProgressReport, run_sweep
-from drivers.base import LinkHealth, MonotonicClock, Proximity
+from drivers.base import ArmState, LinkHealth, MonotonicClock, Proximity, RobotMode
 from perception.errors import PortdockError
 from perception.scan import Cloud, Scan
 
@@ -88,10 +88,20 @@ def sweep_over(cell: Cell, config: SiteConfig, passes: Sequence[Viewpoint], repo
 
 def go_to_start(cell: Cell, config: SiteConfig, view: Viewpoint) -> None:
     """Joint motion to where a sweep begins. Raises MissionFault while a plug may be in the port."""
+    patience_s = config.deadlines.self_check_s
+    cell.enter(State.SELF_CHECK, patience_s)
     cell.supervisor.wait(lambda: cell.arm_state() is not None and cell.charger_status() is not None, STATUS_S)
     if not cell.charger_says(lambda status: status.proximity is Proximity.ABSENT):
         raise MissionFault(FaultCode.PLUG_INSERTED_AT_START, "a plug may be in the port: the arm is not moved to scan")
+    if not cell.supervisor.wait(lambda: cell.charger_says(lambda status: not status.motion_inhibit), patience_s):
+        raise MissionFault(FaultCode.CHARGER_FAULT, "the charger inhibits motion although it gets our heartbeat")
+    if not cell.supervisor.wait(lambda: _runs(cell.arm_state()), patience_s):
+        raise MissionFault(FaultCode.ARM_NOT_READY, "the arm is not powered and running")
     cell.enter(State.STAGING, config.deadlines.staging_s)
     speed, acceleration = np.deg2rad([config.motion.joint_speed_deg_s, config.motion.joint_acceleration_deg_s2])
     cell.travel(MoveJoints(view.T_base_tcp_start, float(speed), float(acceleration)), config.deadlines.staging_s)
     cell.settle(0.001, config.deadlines.staging_s)
+
+
+def _runs(state: ArmState | None) -> bool:
+    return state is not None and state.mode is RobotMode.RUNNING and state.program_running
