@@ -14,6 +14,8 @@ Each line is an object with the key ``do`` and its arguments; each is answered w
     {"do": "script_starts", "on": false}     uploaded scripts are ignored
     {"do": "digital_in", "bits": 1}
     {"do": "commands"}                       host's monotonic time and number of the last control-script commands
+    {"do": "kicks"}                          host's monotonic times of the last writes of the watched register
+    {"do": "skips"}                          emulated times at which the mock was late, and the seconds it left out
     {"do": "state"}                          answers with what the controller is doing
 """
 
@@ -60,6 +62,8 @@ class ControlChannel:
             "script_starts": lambda fault: setattr(self._controller, "script_starts", bool(fault["on"])),
             "digital_in": lambda fault: setattr(self._controller.io, "digital_in", int(fault["bits"])),
             "commands": lambda fault: {"commands": list(self._controller.commands)},
+            "kicks": lambda fault: {"kicks": list(self._controller.kicks)},
+            "skips": lambda fault: {"skips": list(self._server.skips)},
             "state": self._state,
         }
         server.selector.register(descriptor, selectors.EVENT_READ, self._ready)

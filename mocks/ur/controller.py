@@ -78,6 +78,8 @@ class Controller:
         self.on_program: Callable[[str, str], None] = lambda title, name: None
         self.commands: deque[tuple[float, int]] = deque(maxlen=1000)
         """Host's monotonic time and number of each command seen in the command register."""
+        self.kicks: deque[float] = deque(maxlen=10_000)
+        """Host's monotonic time of each write of the watched register."""
 
     # --- what clients read --------------------------------------------------------------------------------------------
 
@@ -184,6 +186,7 @@ class Controller:
         inputs.write_outputs(self.io, values)
         self.arm.slider = inputs.slider(values, self.arm.slider)
         if self.watched in values:
+            self.kicks.append(time.monotonic())
             self.on_kick()
 
     def set_watchdog(self, variable: str, min_frequency_hz: float) -> None:

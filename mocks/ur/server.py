@@ -10,6 +10,7 @@ from __future__ import annotations
 import logging
 import selectors
 import time
+from collections import deque
 from collections.abc import Callable
 from pathlib import Path
 
@@ -46,6 +47,8 @@ class UrServer:
         self.ownership = Ownership()
         self.frozen_until = 0.0
         self.skipped_s = 0.0
+        self.skips: deque[tuple[float, float]] = deque(maxlen=1000)
+        """Emulated time before each stall of the mock that was not caught up, and its length."""
         self.after_step: Callable[[], None] = lambda: None
         self.stopping = False
         self._rate_hz = rate_hz
@@ -88,6 +91,7 @@ class UrServer:
         allowed_s = max(MAX_LATE_S * self._time_scale, 2.0 * self._dt)
         if behind_s > allowed_s:
             steps = int((behind_s - allowed_s) / self._dt)
+            self.skips.append((self.controller.time_s, steps * self._dt))
             self.controller.time_s += steps * self._dt
             self.skipped_s += steps * self._dt
             log.warning("the mock was late: %.3f emulated seconds skipped", steps * self._dt)
