@@ -24,7 +24,7 @@ from perception.evaluation.merge_run import run_merge_trial
 from perception.evaluation.methods import chosen, method
 from perception.evaluation.records import MergeRecord, Record, SplitRecord, TrialRecord
 from perception.evaluation.trial_run import Bench, make_bench, run_split_control, run_trial
-from perception.evaluation.trials import ALL_CONDITIONS, COMPLETE, Condition
+from perception.evaluation.trials import ALL_CONDITIONS, COMPLETE, Condition, integrity_condition
 from perception.port_shape import PortShape
 
 _log = logging.getLogger(__name__)
@@ -79,15 +79,10 @@ def full_plan(ports: tuple[PortShape, PortShape], seed: int, trials: int) -> Pla
 
 
 def quick_plan(ports: tuple[PortShape, PortShape], seed: int) -> Plan:
-    """A look at every figure within three minutes: few trials and rounds, three integrities, no controls."""
+    """Every figure and Table 1 within three minutes: few trials and rounds, three integrities, nothing beyond them."""
     conditions = tuple(
-        replace(
-            c,
-            rounds=min(c.rounds, _QUICK_ROUNDS),
-            runs=("always", "yardsticks", "starts") if c == COMPLETE else ("always",),
-        )
-        for c in ALL_CONDITIONS
-        if c.integrity in _QUICK_INTEGRITIES
+        replace(c, rounds=min(c.rounds, _QUICK_ROUNDS), runs=("always", "yardsticks", "starts"))
+        for c in map(integrity_condition, _QUICK_INTEGRITIES)
     )
     return Plan(seed, _QUICK_TRIALS, conditions, ports, _QUICK_MERGES)
 
