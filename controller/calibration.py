@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from contextlib import ExitStack
 from dataclasses import dataclass
 
@@ -10,14 +11,16 @@ import numpy as np
 from controller.assembly import assemble
 from controller.cell import Cell
 from controller.config import SiteConfig
-from controller.looking import plan_view
+from controller.looking import MOST_SPOILED, plan_view
 from controller.planning import Viewpoint
 from controller.scan_session import go_to_start
 from controller.states import State
-from controller.sweep import timed
+from controller.sweep import SweepError, timed
 from controller.sweeping import ProgressReport, take_moving, timing_of
 from controller.unrecorded import Unrecorded
-from perception.time_offset import TimedSweep, estimate_time_offset
+from perception.time_offset import TimedSweep, TimeOffset, estimate_time_offset
+
+log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,10 +56,7 @@ def measure_time_offset(
         cell = assemble(config, Unrecorded(), closing, pace=pace, heartbeat_mode=heartbeat_mode).cell
         go_to_start(cell, config, forth)
         cell.enter(State.SCANNING, config.deadlines.scanning_s * 2 * rounds)
-        found = [
-            estimate_time_offset(_swept(cell, config, forth, report), _swept(cell, config, back, report))
-            for _ in range(rounds)
-        ]
+        found = [_round(cell, config, forth, back, report) for _ in range(rounds)]
         cell.enter(State.READY, None)
     offsets_s = np.array([one.offset_s for one in found])
     spread_s = float(offsets_s.std(ddof=1) / np.sqrt(rounds)) if rounds > 1 else 0.0
@@ -66,6 +66,20 @@ def measure_time_offset(
         offsets_ms=tuple(float(offset_s) * 1e3 for offset_s in offsets_s),
         residual_mm=max(one.residual_m for one in found) * 1e3,
     )
+
+
+def _round(cell: Cell, config: SiteConfig, forth: Viewpoint, back: Viewpoint, report: ProgressReport) -> TimeOffset:
+    """Forth and back; what cannot be used is swept again, each time in the direction that the arm stands for."""
+    sweeps: dict[bool, TimedSweep] = {}
+    for number in range(2 * (MOST_SPOILED + 1)):
+        there = number % 2 == 0
+        try:
+            sweeps[there] = _swept(cell, config, forth if there else back, report)
+        except SweepError as error:
+            log.warning("this sweep cannot be used, it is made again: %s", error.cause)
+        if not there and len(sweeps) == 2:
+            return estimate_time_offset(sweeps[True], sweeps[False])
+    raise SweepError("no sweep could be used")
 
 
 def _swept(cell: Cell, config: SiteConfig, view: Viewpoint, report: ProgressReport) -> TimedSweep:

@@ -5,6 +5,7 @@ A sweep moves the arm in front of a vehicle, so a plug that may be in the port f
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
@@ -17,15 +18,17 @@ from controller.cell import Cell
 from controller.commands import MoveJoints
 from controller.config import SiteConfig, as_yaml
 from controller.faults import FaultCode, MissionFault
-from controller.looking import plan_view
+from controller.looking import MOST_SPOILED, plan_view
 from controller.planning import Viewpoint
 from controller.recording.recorder import Recorder
 from controller.states import State
-from controller.sweep import clock_facts
+from controller.sweep import SweepError, clock_facts
 from controller.sweeping import CLOCK_HISTORY_S, ProgressReport, run_sweep
 from drivers.base import ArmState, LinkHealth, MonotonicClock, Proximity, RobotMode
 from perception.errors import PortdockError
 from perception.scan import Cloud, Scan
+
+log = logging.getLogger(__name__)
 
 STATUS_S = 5.0
 
@@ -62,7 +65,7 @@ def record_scan(
             recorder.transform("flange", "scanner", config.scanner.T_flange_scanner.pose)
             began_s = cell.wall.now_s()
             try:
-                scan = sweep_over(cell, config, plan_view(config, 0), report)
+                scan = _swept(cell, config, report)
             finally:
                 for name, device in (("arm", cell.arm), ("scanner", cell.scanner), ("charger", cell.charger)):
                     recorder.link(name, device.health())
@@ -74,6 +77,17 @@ def record_scan(
     finally:
         recorder.close()
     return RecordedScan(target, len(scan.profiles), cloud, health)
+
+
+def _swept(cell: Cell, config: SiteConfig, report: ProgressReport) -> Scan:
+    """A sweep that can be used, of a few. Raises what the last one raised."""
+    passes = plan_view(config, 0)
+    for _ in range(MOST_SPOILED):
+        try:
+            return sweep_over(cell, config, passes, report)
+        except SweepError as error:
+            log.warning("this sweep cannot be used, it is made again: %s", error.cause)
+    return sweep_over(cell, config, passes, report)
 
 
 def sweep_over(cell: Cell, config: SiteConfig, passes: Sequence[Viewpoint], report: ProgressReport) -> Scan:

@@ -1,8 +1,9 @@
 """A SCIP 2.0/2.2 range finder at byte level, with the figures of a URG-04LX: 682 steps over 240 degrees, 10 Hz.
 
-Commands: VV PP II, BM QT RS RT, SS, TM0 TM1 TM2, GD GS GE, MD MS ME; others get status 0E. Written from Hokuyo's
-specification C-42-03320B, sharing no code with the driver. It sees a room that it makes up: a wall all around with a
-dent that wanders. Not simulated: multi-echo, motor speed (CR), reboot (RB), what wear and sunlight do to ranges.
+Commands: VV PP II, BM QT RS RT, SS, TM0 TM1 TM2, GD GS GE, MD MS ME, %ST of SCIP 2.2; others get status 0E. Written
+from Hokuyo's specification C-42-03320B, sharing no code with the driver. It sees a room that it makes up: a wall all
+around with a dent that wanders. Not simulated: multi-echo, motor speed (CR), reboot (RB), what wear and sunlight do to
+ranges.
 """
 
 from __future__ import annotations
@@ -91,6 +92,8 @@ class ScipDevice:
 
     def _answer(self, line: bytes) -> bytes:
         code, _, _ = line.partition(b";")
+        if code == b"%ST":  # SCIP 2.2
+            return line + b"\n" + with_sum(b"00") + with_sum(self._state_number()) + b"\n"
         status, body = self._obey(code[:2], code[2:], line)
         return line + b"\n" + with_sum(status) + body + b"\n"
 
@@ -131,6 +134,12 @@ class ScipDevice:
             f"TIME:{time_text}",
             "STAT:Sensor works well.",
         )
+
+    def _state_number(self) -> bytes:
+        """Of SCIP 2.2: standby, adjusting the time, lit for single scans, streaming."""
+        if self._stream is not None:
+            return b"004"
+        return b"003" if self._laser else (b"002" if self._adjusting else b"000")
 
     def _ticks(self) -> int:
         time_s = self._clock_offset_s + self._clock.now_s() * (1.0 + self._ppm * 1e-6)
