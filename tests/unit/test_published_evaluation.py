@@ -2,9 +2,11 @@
 
 import itertools
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.optimize import linprog
 
 from controller.port_files import load_port
 from perception.errors import InputError
@@ -12,10 +14,19 @@ from perception.evaluation import runner, trials
 from perception.evaluation.baseline1 import SketchMacroMicroBaseline
 from perception.evaluation.baseline2 import FourPointBaseline
 from perception.evaluation.methods import METHODS, chosen
+from perception.evaluation.metrics import common_loss
 from perception.evaluation.outcomes import Problem
 from perception.evaluation.peers import Open3DPeer
 from perception.evaluation.records import SplitRecord, TrialRecord
-from perception.evaluation.trials import ALL_CONDITIONS, COMPLETE, PARTIAL, make_target, make_trial
+from perception.evaluation.trials import (
+    ALL_CONDITIONS,
+    COMPLETE,
+    INTEGRITIES,
+    integrity_condition,
+    make_target,
+    make_trial,
+    reference_points,
+)
 from perception.geometry import Pose
 
 
@@ -39,8 +50,21 @@ def test_a_trial_is_the_same_for_the_same_seed_and_another_for_another(shape):
 
 
 def test_integrity_keeps_its_share_on_one_side(shape):
-    whole, part = make_trial(shape, COMPLETE, 5, 0), make_trial(shape, PARTIAL, 5, 0)
-    assert len(part.test) / len(whole.test) == pytest.approx(0.65, abs=0.005)
+    whole = make_trial(shape, COMPLETE, 5, 0)
+    for p in INTEGRITIES:
+        part = make_trial(shape, integrity_condition(p), 5, 0)
+        assert len(part.test) / len(whole.test) == pytest.approx(p, abs=0.005)
+        kept = (whole.test[:, None, 0] == part.test[None, :, 0]).any(axis=1)
+        # one straight cut: a plane parts what was kept from what is missing
+        if p < 1.0:
+            gone, left = whole.test[~kept], whole.test[kept]
+            cut = linprog(
+                np.zeros(4),
+                A_ub=np.concatenate([np.c_[gone, np.ones(len(gone))], -np.c_[left, np.ones(len(left))]]),
+                b_ub=np.zeros(len(whole.test)) - 1e-6,
+                bounds=[(None, None)] * 4,
+            )
+            assert cut.success
 
 
 def test_the_scan_lies_on_the_target_at_the_true_pose_but_is_not_made_of_its_points(shape, target):
@@ -76,6 +100,40 @@ def test_every_condition_runs_all_profiles_and_baselines_from_the_same_starts():
         assert {name for name, group in groups.items() if group == "global"} == {"b2", "o3d-ransac-icp", "o3d-fgr-icp"}
     complete = {method.name for method in chosen(COMPLETE)}
     assert complete == {method.name for method in METHODS}
+
+
+@pytest.mark.long
+@pytest.mark.timeout(1200)
+def test_baseline_2_is_no_strawman(shape, target):
+    """Open3D's RANSAC on the same kind of features, without ICP, must not be far better than it."""
+    baseline, peer, reference = (
+        FourPointBaseline(target),
+        Open3DPeer(target, "ransac", icp=False),
+        reference_points(shape),
+    )
+    losses = []
+    for number in range(10):
+        trial = make_trial(shape, COMPLETE, 77, number)
+        problem = Problem(trial.test, COMPLETE.rounds, number)
+        errors = [solve(problem)[-1].T_target_test @ trial.T_target_test.inverse() for solve in (baseline, peer)]
+        losses.append([common_loss(error, reference) for error in errors])
+    ours, theirs = np.median(losses, axis=0)
+    assert theirs > 0.5 * ours
+
+
+@pytest.mark.long
+@pytest.mark.timeout(1200)
+def test_results_do_not_depend_on_the_number_of_processes(shape, tmp_path):
+    condition = replace(COMPLETE, rounds=2, runs=("always",))
+    plan = runner.Plan(3, 2, (condition,), (shape, shape), merges=0)
+    one, two = (runner.run(plan, tmp_path / str(jobs), jobs, lambda *_: None) for jobs in (1, 2))
+
+    def without_times(found):
+        trials = [record for record in found if isinstance(record, TrialRecord)]
+        return [replace(t, rounds=tuple(replace(r, ms=0.0) for r in t.rounds)) for t in trials]
+
+    assert len(without_times(one)) == 2 * len(chosen(condition))
+    assert without_times(one) == without_times(two)
 
 
 @pytest.mark.slow

@@ -1,5 +1,6 @@
 """The published method as a whole: what it finds, what it refuses, how its rounds relate."""
 
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -7,11 +8,12 @@ import pytest
 
 from perception.errors import DegenerateCloudError, EmptyScanError, UnitError
 from perception.geometry import Pose
-from perception.published import clouds
+from perception.published import clouds, kdtree, pipeline
 from perception.published.kdtree import AdaptiveKDTree
 from perception.published.merging import merge_views
 from perception.published.pipeline import register
 from perception.published.profiles import FAITHFUL, LITERAL, ROBUST
+from perception.published.registration import trimmed_distance
 from perception.published.target import prepare_target
 
 TRUE = Pose.from_rotvec(np.deg2rad(6.0) * np.array([0.6, 0.0, 0.8]), [3.0, -2.0, 1.5])
@@ -98,6 +100,34 @@ def test_a_new_kappa_rebuilds_nothing(target, scan, monkeypatch):
     assert len(found.rounds) == 4
     assert len({r.kappa for r in found.rounds}) > 1
     assert built == [len(scan)]
+
+
+def test_all_rounds_are_ranked_on_the_points_that_the_first_one_kept(target, scan, monkeypatch):
+    ranked = []
+
+    def recording(points, *args):
+        ranked.append(points)
+        return trimmed_distance(points, *args)
+
+    monkeypatch.setattr(pipeline, "trimmed_distance", recording)
+    feedback = replace(FAITHFUL.feedback, max_rounds=4, stop_early=False)
+    found = register(scan, target, replace(FAITHFUL, feedback=feedback))
+    assert len({int(r.kept.sum()) for r in found.rounds}) > 1  # each round keeps other points
+    assert len(ranked) == 4
+    for points in ranked:
+        np.testing.assert_array_equal(points, ranked[0])
+    assert {tuple(p) for p in ranked[0]} <= {tuple(p) for p in scan[found.rounds[0].kept]}
+
+
+def test_without_numba_the_method_runs_on_numpy_alone_and_answers_the_same(target, scan, monkeypatch):
+    usual = register(scan, target, "faithful")
+    monkeypatch.setattr(kdtree.importlib.util, "find_spec", lambda name: None)
+    for module in ("numba", "perception.published.kdtree_numba", "perception.published.kdtree_kernels"):
+        monkeypatch.setitem(sys.modules, module, None)  # importing it fails
+    assert not kdtree.numba_available()
+    found = register(scan, target, "faithful")
+    np.testing.assert_array_equal(found.kept, usual.kept)
+    np.testing.assert_allclose(found.T_target_test.matrix, usual.T_target_test.matrix, atol=1e-6)
 
 
 def test_a_prepared_target_gives_the_same_answer_every_time(target, scan):
