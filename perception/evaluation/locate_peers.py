@@ -1,25 +1,35 @@
-"""The tools that users know, through their own libraries: global registration to samples of the CAD, then fine ICP.
+"""The tools that users know, through their own libraries: a global registration each, then the same fine alignment.
 
 All get the scan as prepared in ``locate_unit`` (cropped by the prior, thinned, cleaned, normals to the sensor) and the
-same samples of the CAD that the sensor can see. Those that may answer with any pose are asked up to three times, and
-the best of what the prior allows is taken: that helps every one of them.
+same samples of the CAD. Those that may answer with any pose are asked several times, and of their answers the one that
+the prior allows and that explains most of the CAD is taken: that helps each of them.
 """
 
 from __future__ import annotations
 
 import importlib.util
-from collections.abc import Callable
+import itertools
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
+import numpy as np
+import open3d as o3d
+import small_gicp
+
 from perception.errors import InputError
 from perception.evaluation.locate_cases import CaseScan
+from perception.evaluation.locate_peer_cloud import COARSE_M, PeerProblem, best, rigid
 from perception.evaluation.locate_unit import prepared
-from perception.geometry import Pose
+from perception.geometry import Array, Pose
 from perception.port_model import PortModel
 
-Finder = Callable[[Any, PortModel, CaseScan], Pose]
-"""From the prepared scan (prior frame), the model and the case to T_prior_port."""
+Finder = Callable[[PeerProblem], Pose]
+"""From the prepared scan and the CAD to T_prior_port."""
+
+_FEATURE_M = 0.012
+_TRIES = 2
+_registration: Any = o3d.pipelines.registration
 
 
 class PeerMissingError(InputError):
@@ -53,7 +63,158 @@ class Peer:
 
 def peer_pose(find: Finder, scan: CaseScan, model: PortModel) -> Pose:
     """T_scanner_port as a peer finds it."""
-    return scan.prior.T_ref_port @ find(prepared(scan, model), model, scan)
+    return scan.prior.T_ref_port @ find(PeerProblem(prepared(scan, model), model, scan.prior))
 
 
-PEERS: dict[str, Peer] = {}
+def _from_prior(problem: PeerProblem) -> Pose:
+    return best(problem, [Pose.identity()])
+
+
+def _ransac(problem: PeerProblem) -> Pose:
+    source, target = problem.coarse_samples, problem.coarse_scan
+    features = [_fpfh(cloud) for cloud in (source, target)]
+    gate = 1.5 * COARSE_M
+    poses = []
+    for k in range(_TRIES):
+        o3d.utility.random.seed(k)
+        found = _registration.registration_ransac_based_on_feature_matching(
+            source,
+            target,
+            *features,
+            True,
+            gate,
+            _registration.TransformationEstimationPointToPoint(False),
+            3,
+            [
+                _registration.CorrespondenceCheckerBasedOnEdgeLength(0.9),
+                _registration.CorrespondenceCheckerBasedOnDistance(gate),
+                _registration.CorrespondenceCheckerBasedOnNormal(float(np.deg2rad(30.0))),
+            ],
+            _registration.RANSACConvergenceCriteria(40_000, 0.999),
+        )
+        poses.append(rigid(np.asarray(found.transformation)))
+    return best(problem, poses)
+
+
+def _fgr(problem: PeerProblem) -> Pose:
+    source, target = problem.coarse_samples, problem.coarse_scan
+    features = [_fpfh(cloud) for cloud in (source, target)]
+    poses = []
+    for k in range(_TRIES):
+        option = _registration.FastGlobalRegistrationOption(
+            maximum_correspondence_distance=COARSE_M * (1.0 + 0.5 * k), iteration_number=64, tuple_scale=0.95
+        )
+        found = _registration.registration_fgr_based_on_feature_matching(source, target, *features, option)
+        poses.append(rigid(np.asarray(found.transformation)))
+    return best(problem, poses)
+
+
+def _fpfh(cloud: Any) -> Any:
+    return _registration.compute_fpfh_feature(cloud, o3d.geometry.KDTreeSearchParamHybrid(_FEATURE_M, 100))
+
+
+def _kiss() -> Finder:
+    import kiss_matcher
+
+    def find(problem: PeerProblem) -> Pose:
+        source, target = (_mm(cloud) for cloud in (problem.coarse_samples, problem.coarse_scan))
+        poses = []
+        for voxel_mm in (2.0, 3.0):
+            matcher = kiss_matcher.KISSMatcher(kiss_matcher.KISSMatcherConfig(voxel_mm))
+            found = matcher.estimate(source, target)
+            matrix = np.eye(4)
+            matrix[:3, :3], matrix[:3, 3] = found.rotation, np.asarray(found.translation).reshape(3) / 1e3
+            poses.append(_gicp(problem, rigid(matrix)))
+        return best(problem, poses)
+
+    return find
+
+
+def _mm(cloud: Any) -> list[Array]:
+    return [row.astype(np.float32) for row in np.asarray(cloud.points) * 1e3]
+
+
+def _gicp(problem: PeerProblem, pose: Pose) -> Pose:
+    """One alignment by small_gicp, CAD samples to scan."""
+    found = small_gicp.align(
+        np.asarray(problem.coarse_scan.points),
+        np.asarray(problem.coarse_samples.points),
+        pose.matrix,
+        registration_type="GICP",
+        downsampling_resolution=COARSE_M,
+        max_correspondence_distance=3 * COARSE_M,
+        max_iterations=30,
+    )
+    return rigid(np.asarray(found.T_target_source))
+
+
+def _multistart() -> Finder:
+    def find(problem: PeerProblem) -> Pose:
+        target, target_tree = _gicp_cloud(problem.coarse_scan.voxel_down_sample(2 * COARSE_M))
+        source, _ = _gicp_cloud(problem.coarse_samples.voxel_down_sample(2 * COARSE_M))
+        poses = []
+        for start in _starts():
+            found = small_gicp.align(
+                target,
+                source,
+                target_tree,
+                start.matrix,
+                registration_type="GICP",
+                max_correspondence_distance=0.012,
+                max_iterations=25,
+            )
+            poses.append(rigid(np.asarray(found.T_target_source)))
+        return best(problem, poses)
+
+    return find
+
+
+def _gicp_cloud(cloud: Any) -> tuple[Any, Any]:
+    points = small_gicp.PointCloud(np.asarray(cloud.points))
+    tree = small_gicp.KdTree(points)
+    small_gicp.estimate_normals_covariances(points, tree, 15)
+    return points, tree
+
+
+def _starts() -> Iterator[Pose]:
+    """Over the whole of the usual prior: 13 places sideways, 3 along, 5 axes; rolls of up to 15 deg lie in reach."""
+    ring = [(0.0, 0.0)] + [(0.016 * np.cos(a), 0.016 * np.sin(a)) for a in np.arange(4) * np.pi / 2]
+    ring += [(0.032 * np.cos(a), 0.032 * np.sin(a)) for a in np.arange(8) * np.pi / 4]
+    tilts = np.deg2rad([(0, 0), (12, 0), (-12, 0), (0, 12), (0, -12)])
+    for (x, y), z, (u, v) in itertools.product(ring, (-0.018, 0.0, 0.018), tilts):
+        yield Pose.from_rotvec([u, v, 0.0], [x, y, z])
+
+
+def _ppf() -> Finder:
+    from cv2 import ppf_match_3d as ppf
+
+    trained: dict[str, Any] = {}
+
+    def find(problem: PeerProblem) -> Pose:
+        detector = trained.get(problem.model.checksum)
+        if detector is None:
+            detector = ppf.PPF3DDetector(0.03, 0.05, 30)
+            detector.trainModel(_rows(problem.coarse_samples))
+            trained[problem.model.checksum] = detector
+        answers = detector.match(_rows(problem.coarse_scan), 1.0 / 10.0, 0.03)
+        return best(problem, [rigid(np.asarray(answer.pose)) for answer in answers[:100]])
+
+    return find
+
+
+def _rows(cloud: Any) -> Array:
+    """(N, 6) points and normals in single precision, as OpenCV wants them."""
+    return np.ascontiguousarray(np.hstack([cloud.points, cloud.normals]), dtype=np.float32)
+
+
+PEERS: dict[str, Peer] = {
+    peer.name: peer
+    for peer in (
+        Peer("open3d-ransac", "Open3D FPFH + RANSAC + ICP", "open3d", lambda: _ransac),
+        Peer("open3d-fgr", "Open3D FGR + ICP", "open3d", lambda: _fgr),
+        Peer("icp", "point-to-plane ICP from the prior", "open3d", lambda: _from_prior),
+        Peer("multistart", "many-start small_gicp + ICP", "small_gicp", _multistart),
+        Peer("kiss", "KISS-Matcher + small_gicp + ICP", "kiss_matcher", _kiss),
+        Peer("ppf", "OpenCV point-pair features + ICP", "cv2", _ppf),
+    )
+}

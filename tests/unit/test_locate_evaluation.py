@@ -7,7 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from controller.cli.evaluate_locate import _peers
 from controller.port_files import bundled_ports, load_port
+from controller.port_models import port_model
 from controller.reports.locate_evaluation import write_evaluation_page
 from perception.errors import InputError
 from perception.evaluation import locate_records as records
@@ -21,6 +23,8 @@ from perception.evaluation.locate_cases import (
     seed_set,
 )
 from perception.evaluation.locate_folder import folder_cases, read_scan
+from perception.evaluation.locate_peer_cloud import within_prior
+from perception.evaluation.locate_peers import PEERS, PeerMissingError, peer_pose
 from perception.evaluation.locate_records import CaseRecord, error_of
 from perception.evaluation.locate_runner import LocatePlan
 from perception.evaluation.locate_statistics import calibration, share
@@ -223,3 +227,22 @@ def test_a_folder_with_an_unusable_truth_says_so(tmp_path: Path, text: str) -> N
     (tmp_path / "a.ply").write_text("")
     with pytest.raises(InputError):
         folder_cases(tmp_path)
+
+
+def test_a_peer_without_its_library_is_named_and_skipped(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    present, notes = _peers("kiss,ppf")
+    assert present == ()
+    assert "kiss_matcher is not installed" in notes[0]
+    with pytest.raises(PeerMissingError):
+        PEERS["ppf"].load()
+
+
+def test_icp_from_a_near_prior_finds_the_port_and_a_pose_beyond_the_prior_is_not_taken() -> None:
+    (case,) = positive_cases(1, ["nacs"], ["easy"])
+    scan = make_scan(case, 5, SHAPES)
+    model = port_model("nacs")
+    near = replace(scan, prior=replace(scan.prior, T_ref_port=scan.T_scanner_port.moved([0.0005, 0.0, 0.0])))
+    found = peer_pose(PEERS["icp"].load(), near, model)
+    assert found.distance_to(scan.T_scanner_port) < 0.0005
+    assert not within_prior(Pose.from_rotvec([0, 0, np.pi / 2]), scan.prior)
