@@ -12,6 +12,7 @@ from controller.car_evidence import Opinion, in_words, opinion
 from controller.commands import (
     Announce,
     AskCharger,
+    BackOff,
     Command,
     Comply,
     Laser,
@@ -118,7 +119,7 @@ class Cell:
         match command:
             case MoveJoints(target, speed, acceleration):
                 self.arm.move_joints(target, speed, acceleration)
-            case MoveLinear(target, speed, acceleration):
+            case MoveLinear(target, speed, acceleration) | BackOff(target, speed, acceleration):
                 self.arm.move_linear(target, speed, acceleration)
             case MoveVelocity(velocity, acceleration):
                 self.arm.move_velocity(velocity, acceleration)
@@ -230,7 +231,7 @@ def _described(command: Command) -> str:
     match command:
         case MoveJoints(target, speed, _):
             return f"to {_millimetres(target)} mm, {speed:.2f} rad/s"
-        case MoveLinear(target, speed, _):
+        case MoveLinear(target, speed, _) | BackOff(target, speed, _):
             return f"to {_millimetres(target)} mm, {speed * 1000:.0f} mm/s"
         case MoveVelocity(velocity, _):
             return f"{[round(float(v) * 1000, 1) for v in velocity[:3]]} mm/s"

@@ -27,6 +27,15 @@ class MoveLinear:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class BackOff:
+    """Straight motion out on the approach axis, although the charger is silent: before contact only."""
+
+    T_base_tcp: Pose
+    speed_m_s: float
+    acceleration_m_s2: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class MoveVelocity:
     """Constant velocity (6,) in base axes, m/s and rad/s, until stopped."""
 
@@ -73,4 +82,4 @@ class Announce:
 
 
 Motion = MoveJoints | MoveLinear | MoveVelocity | Comply
-Command = Motion | StopMotion | ZeroForce | Laser | AskCharger | Announce
+Command = Motion | BackOff | StopMotion | ZeroForce | Laser | AskCharger | Announce

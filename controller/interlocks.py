@@ -35,8 +35,8 @@ class Snapshot:
     """A tick later than this means that the host was suspended or starved."""
 
 
-def assess(seen: Snapshot) -> Fault | None:
-    """The first reason not to go on, most urgent first. Pure."""
+def assess(seen: Snapshot, without_charger: bool = False) -> Fault | None:
+    """The first reason not to go on, most urgent first; ``without_charger`` its silence is none. Pure."""
     if seen.state in (State.OFFLINE, State.FAULT):
         return None
     if seen.arm is not None and (fault := _arm_fault(seen.arm, seen.state)):
@@ -45,7 +45,7 @@ def assess(seen: Snapshot) -> Fault | None:
         return fault
     if seen.arm is None:
         return Fault(FaultCode.ARM_LINK_LOST, seen.arm_problem)
-    if seen.charger is None:
+    if seen.charger is None and not without_charger:
         return Fault(FaultCode.CHARGER_LINK_LOST, seen.charger_problem)
     if not seen.scanner_up and seen.state in (State.STAGING, State.SCANNING):
         return Fault(FaultCode.SCANNER_LINK_LOST, seen.scanner_problem)

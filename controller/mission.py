@@ -11,6 +11,7 @@ import logging
 from collections.abc import Callable
 from pathlib import Path
 
+from controller.back_off import back_off
 from controller.cell import Cell
 from controller.commands import Announce, AskCharger, Laser, StopMotion
 from controller.config import SiteConfig
@@ -141,6 +142,8 @@ class Mission:
         return stay_s
 
     def _latch(self, fault: Fault) -> Event:
+        if fault.code is FaultCode.CHARGER_LINK_LOST and self.state is State.APPROACHING:
+            back_off(self.task)
         self.fault = fault
         return fault.event
 

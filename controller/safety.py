@@ -13,6 +13,7 @@ import numpy as np
 from controller.commands import (
     Announce,
     AskCharger,
+    BackOff,
     Command,
     Comply,
     Laser,
@@ -51,6 +52,8 @@ class Limits:
     moment_nm: float
     capture_radius_m: float
     """No lateral motion beyond this while the plug is inserted."""
+    touch_force_n: float = 10.0
+    """A larger force on the plug is contact."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -88,6 +91,8 @@ def check(command: Command, now: Situation, limits: Limits) -> Refusal | None:
             return None if allowed else Refusal("laser", f"laser on in {now.state.name}")
         case ZeroForce():
             return _check_zero_force(now)
+        case BackOff():
+            return _check_back_off(command, now, limits)
         case MoveJoints() | MoveLinear() | MoveVelocity() | Comply():
             return _check_motion(command, now, limits)
 
@@ -153,6 +158,35 @@ def _check_zero_force(now: Situation) -> Refusal | None:
     if now.T_base_port is not None and _depth_m(now.arm.T_base_tcp, now.T_base_port) > CONTACT_DEPTH_M:
         return Refusal("zero-force", "only out of contact")
     return None
+
+
+def _check_back_off(command: BackOff, now: Situation, limits: Limits) -> Refusal | None:
+    """The one motion that is allowed while the charger is silent: before contact, straight out on the port's axis."""
+    if now.state is not State.APPROACHING or now.T_base_port is None:
+        return Refusal("state", f"BackOff in {now.state.name}")
+    if now.arm is None or now.arm.mode is not RobotMode.RUNNING:
+        return Refusal("arm", "the arm's state is not fresh, or it is not running")
+    if now.arm.safety not in (SafetyMode.NORMAL, SafetyMode.REDUCED):
+        return Refusal("arm", f"safety mode {now.arm.safety.name}")
+    if now.charger is not None and (now.charger.estop or now.charger.motion_inhibit):
+        return Refusal("charger", "the charger inhibits motion")
+    force_n = float(np.linalg.norm(now.arm.wrench[:3]))
+    if not force_n < limits.touch_force_n:
+        return Refusal("contact", f"{force_n:.1f} N at the plug")
+    if not 0 < command.speed_m_s <= limits.linear_speed_m_s:
+        return Refusal("speed", f"{command.speed_m_s * 1000:.1f} mm/s")
+    depth_m = _depth_m(now.arm.T_base_tcp, now.T_base_port)
+    target_depth_m = _depth_m(command.T_base_tcp, now.T_base_port)
+    if depth_m > CONTACT_DEPTH_M or not target_depth_m < depth_m:
+        return Refusal("axis", "only from before the rim, and only outwards")
+    lateral_m = _lateral_travel_m(
+        MoveLinear(command.T_base_tcp, command.speed_m_s, command.acceleration_m_s2),
+        now.arm.T_base_tcp,
+        now.T_base_port,
+    )
+    if not lateral_m <= limits.capture_radius_m:
+        return Refusal("axis", f"{lateral_m * 1000:.1f} mm sideways")
+    return _check_target(command.T_base_tcp, limits)
 
 
 def _check_motion(command: Motion, now: Situation, limits: Limits) -> Refusal | None:

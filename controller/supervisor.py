@@ -10,7 +10,8 @@ from __future__ import annotations
 
 import logging
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import TypeVar
 
@@ -84,6 +85,7 @@ class Supervisor:
         self._facts = Facts()
         self._request = _Request()
         self._trip: Fault | None = None
+        self._backing_off = False
         self._ticks = 0
         self._wake = threading.Event()
         self._ended = threading.Event()
@@ -187,6 +189,20 @@ class Supervisor:
             while not until():
                 self._changed.wait(timeout=0.1)
 
+    @contextmanager
+    def backing_off(self) -> Iterator[Callable[[], bool]]:
+        """Inside, the charger's silence alone does not keep the watchdog from being kicked, so that the arm can move.
+
+        Yields whether that still holds: anything else that trips stops the arm and ends it. The trip stays latched.
+        """
+        with self._changed:
+            lost = self._trip is not None and self._trip.code is FaultCode.CHARGER_LINK_LOST
+            self._backing_off = lost
+        try:
+            yield lambda: self._backing_off
+        finally:
+            self._backing_off = False
+
     def wait_ticks(self, count: int) -> None:
         """Wait until ``count`` further ticks have looked at everything. Raises MissionFault as soon as one trips."""
         with self._changed:
@@ -213,10 +229,12 @@ class Supervisor:
 
     def _tick(self, late_s: float) -> None:
         seen = self._look(late_s)
-        fault = Fault(FaultCode.ABORTED, "by request") if self._request.abort else assess(seen)
+        backing_off = self._backing_off
+        fault = Fault(FaultCode.ABORTED, "by request") if self._request.abort else assess(seen, backing_off)
         if fault is not None:
+            self._end_backing_off(fault)
             self._latch(fault)
-        elif self._trip is None and seen.state not in (State.OFFLINE, State.FAULT):
+        elif (self._trip is None or backing_off) and seen.state not in (State.OFFLINE, State.FAULT):
             self._kick_watchdog()
         if self._ticks % HEARTBEAT_EVERY == 0:
             self._send_heartbeat(seen)
@@ -256,6 +274,16 @@ class Supervisor:
             self._trip = fault
             self._changed.notify_all()
         log.error("trip in %s: %s", self._facts.state.name, fault)
+        try:
+            self._sources.arm.stop()
+        except PortdockError as error:
+            log.error("the arm did not take the stop: %s; its watchdog stops it", error)
+
+    def _end_backing_off(self, fault: Fault) -> None:
+        if not self._backing_off:
+            return
+        self._backing_off = False
+        log.error("backing off ends: %s", fault)
         try:
             self._sources.arm.stop()
         except PortdockError as error:

@@ -142,6 +142,7 @@ def limits_of(config: SiteConfig, port: PortDescription) -> Limits:
         axial_force_n=insertion.max_axial_force_n,
         lateral_force_n=insertion.max_lateral_force_n,
         moment_nm=insertion.max_moment_nm,
+        touch_force_n=insertion.contact_force_n,
         capture_radius_m=max(port.capture_radius_m, insertion.search_radius_mm / 1000.0),
     )
 

@@ -105,7 +105,7 @@ class Links:
         start = m.Start(
             s.host, s.frequency_hz, s.upper_registers, s.watchdog_hz, tcp, s.payload_kg, s.centre_of_gravity_m
         )
-        answer = self._worker.start(start, s.start_timeout_s)
+        answer = self._worker.start(start, s.start_timeout_s * s.patience)
         if isinstance(answer, m.StartFailed):
             raise start_error(answer.reason)
         shown = Pose.from_vector(answer.tcp)
