@@ -116,10 +116,23 @@ def _check_request(request: ChargerRequest, now: Situation) -> Refusal | None:
         return None
     if now.state not in _ALLOWED_IN[request]:
         return Refusal("charger-request", f"{request.name} in {now.state.name}")
-    if request is ChargerRequest.ENABLE_POWER and not now.mated:
-        return Refusal("power", "the plug is not mated: depth, force plateau and proximity are all needed")
+    if request is ChargerRequest.ENABLE_POWER and (why := _not_mated(now)):
+        return Refusal("power", why)
     if request is ChargerRequest.UNLOCK_PLUG and now.state is State.RELEASING and (why := _live(now.charger)):
         return Refusal("unlock", why)
+    return None
+
+
+def _not_mated(now: Situation) -> str | None:
+    """Why power may not be wanted; None if arm and charger, freshly, both say that the plug is in and locked."""
+    if not now.mated:
+        return "the plug is not mated: depth, force plateau and proximity are all needed"
+    if now.charger is None:
+        return "the charger is silent: whether the plug is still in is unknown"
+    if now.charger.proximity not in (Proximity.INSERTED, Proximity.LATCHED):
+        return f"the proximity contact says {now.charger.proximity.name}"
+    if now.charger.lock is not PlugLock.LOCKED:
+        return f"the plug's lock is {now.charger.lock.name}"
     return None
 
 

@@ -205,7 +205,9 @@ def test_no_retreat_while_the_lock_is_not_known_to_be_open() -> None:
         assert rule(TO_RETREAT, locked) == "lock"
 
 
-@pytest.mark.parametrize("live", [{"contactor_closed": True}, {"current_a": 1.0}, {"electrical_time_s": -np.inf}])
+@pytest.mark.parametrize(
+    "live", [{"contactor_closed": True}, {"current_a": 1.0}, {"electrical_time_s": -np.inf}, {"current_a": np.nan}]
+)
 def test_a_live_plug_is_neither_unlocked_nor_pulled(live: dict[str, object]) -> None:
     mated = replace(situation(State.RETREATING, depth_m=0.03, proximity=Proximity.INSERTED, **live), mated=True)
     assert rule(TO_RETREAT, mated) == "live"
@@ -213,11 +215,34 @@ def test_a_live_plug_is_neither_unlocked_nor_pulled(live: dict[str, object]) -> 
 
 
 def test_power_needs_a_mated_plug() -> None:
-    charging = situation(State.CHARGING, proximity=Proximity.LATCHED)
+    charging = situation(State.CHARGING, proximity=Proximity.LATCHED, lock=PlugLock.LOCKED)
     assert rule(AskCharger(ChargerRequest.ENABLE_POWER), charging) == "power"
     assert rule(AskCharger(ChargerRequest.ENABLE_POWER), replace(charging, mated=True)) is None
     for state in set(State) - {State.CHARGING}:
         assert rule(AskCharger(ChargerRequest.ENABLE_POWER), replace(charging, state=state, mated=True)) is not None
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"proximity": Proximity.ABSENT},
+        {"proximity": Proximity.FAULT},
+        {"proximity": Proximity.RELEASE_PRESSED},
+        {"lock": PlugLock.UNLOCKED},
+        {"lock": PlugLock.LOCKING},
+        {"lock": PlugLock.FAULT},
+    ],
+)
+def test_power_needs_a_charger_that_says_just_now_that_the_plug_is_in_and_locked(changes: dict[str, object]) -> None:
+    good = {"proximity": Proximity.LATCHED, "lock": PlugLock.LOCKED}
+    assert rule(AskCharger(ChargerRequest.ENABLE_POWER), replace(situation(State.CHARGING, **good), mated=True)) is None
+    poor = replace(situation(State.CHARGING, **good | changes), mated=True)
+    assert rule(AskCharger(ChargerRequest.ENABLE_POWER), poor) == "power"
+
+
+def test_no_power_is_wanted_of_a_silent_charger() -> None:
+    silent = replace(situation(State.CHARGING), mated=True, charger=None)
+    assert rule(AskCharger(ChargerRequest.ENABLE_POWER), silent) == "power"
 
 
 def test_the_force_sensor_is_zeroed_only_at_rest_and_out_of_contact() -> None:
