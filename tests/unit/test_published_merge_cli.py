@@ -9,6 +9,7 @@ from controller.cli.merge import merge
 from perception.cloud_io import read_cloud
 from perception.errors import InputError
 from perception.geometry import Pose
+from tests.unit.test_published_locate_cli import unusable
 from tests.unit.test_published_pipeline import inlet
 
 app = typer.Typer()
@@ -49,4 +50,13 @@ def test_a_file_that_cannot_be_written_is_refused_before_any_work(scans, tmp_pat
 def test_one_scan_alone_is_refused(scans, tmp_path):
     result = CliRunner().invoke(app, [str(scans[0]), "--out", str(tmp_path / "merged.ply")])
     assert isinstance(result.exception, InputError)
+    assert not (tmp_path / "merged.ply").exists()
+
+
+@pytest.mark.parametrize("bad", ["planar", "collinear", "identical", "nan", "empty", "millimetres", "fewer-than-k"])
+def test_a_scan_that_cannot_be_merged_is_named_and_nothing_is_written(scans, tmp_path, bad):
+    np.savez(scans[1], points=unusable()[bad])
+    result = CliRunner().invoke(app, [*map(str, scans), "--out", str(tmp_path / "merged.ply")])
+    assert isinstance(result.exception, InputError)
+    assert result.exception.cause
     assert not (tmp_path / "merged.ply").exists()
