@@ -15,19 +15,34 @@ from perception.port_model import PortModel
 
 def read_prior(path: Path) -> Prior:
     """The expected pose from a JSON file with the key ``prior``. Raises InputError."""
-    remedy = "Give a JSON file whose key 'prior' is a 4x4 pose T_scanner_port in metres."
+    return Prior(read_pose(path, "prior"))
+
+
+def read_pose(path: Path, key: str) -> Pose:
+    """The pose that a JSON file holds under a key: 4x4, metres. Raises InputError."""
+    remedy = f"Give a JSON file whose key {key!r} is a 4x4 pose of the port (T_scanner_port), in metres."
+    content = read_json(path, remedy)
+    if not isinstance(content, dict) or key not in content:
+        raise InputError(f"{path.name} has no key {key!r}", remedy=remedy)
+    return as_pose(content[key], f"{path.name}: {key}", remedy)
+
+
+def read_json(path: Path, remedy: str) -> object:
+    """What a JSON file holds. Raises InputError."""
     try:
-        content = json.loads(path.read_text("utf-8"))
+        return json.loads(path.read_text("utf-8"))
     except OSError as error:
         raise InputError(f"{path}: {error.strerror or error}", remedy=remedy) from error
     except ValueError as error:
         raise InputError(f"{path.name} is not JSON: {error}".replace("\n", " "), remedy=remedy) from error
-    if not isinstance(content, dict) or "prior" not in content:
-        raise InputError(f"{path.name} has no key 'prior'", remedy=remedy)
+
+
+def as_pose(value: object, where: str, remedy: str) -> Pose:
+    """A 4x4 list as a pose. Raises InputError."""
     try:
-        return Prior(Pose.from_matrix(content["prior"]))
+        return Pose.from_matrix(value)  # type: ignore[arg-type]
     except (ValueError, TypeError) as error:
-        raise InputError(f"{path.name}: the prior is not a pose: {error}", remedy=remedy) from error
+        raise InputError(f"{where} is not a pose: {error}", remedy=remedy) from error
 
 
 def requested_models(request: str, unit: str) -> list[PortModel]:

@@ -1,10 +1,11 @@
-"""A port model by name or path: bundled descriptions are built into meshes, mesh files are read as they are."""
+"""A port model by name or path: bundled descriptions are built into meshes, the user's own and mesh files are read."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
 from controller.port_files import bundled_ports, load_port
+from controller.port_library import has_model, load_model, user_models
 from perception.errors import UnknownPortError
 from perception.mesh_io import MESH_SUFFIXES, read_mesh
 from perception.port_model import PortModel
@@ -12,10 +13,12 @@ from perception.port_shape import build_mesh
 
 
 def port_model(name_or_path: str, unit: str = "m") -> PortModel:
-    """The prepared model of a bundled port, a port description (.yaml) or a mesh file (``unit`` m, cm or mm).
+    """The prepared model of a bundled port, one of the user's, a description (.yaml) or a mesh file (unit m, cm or mm).
 
-    Raises UnknownPortError, PortFileError, MeshError or UnitError.
+    Raises UnknownPortError, PortFileError, ModelLibraryError, MeshError or UnitError.
     """
+    if has_model(name_or_path) and name_or_path not in bundled_ports():
+        return load_model(name_or_path)
     suffix = Path(name_or_path).suffix.lower()
     if suffix in MESH_SUFFIXES:
         vertices, faces = read_mesh(Path(name_or_path), unit)
@@ -23,6 +26,10 @@ def port_model(name_or_path: str, unit: str = "m") -> PortModel:
     if suffix and suffix not in (".yaml", ".yml"):
         known = f"{', '.join(bundled_ports())}; mesh files end with {', '.join(MESH_SUFFIXES)}"
         raise UnknownPortError(f"{name_or_path} is neither a port's name nor a mesh file", remedy=f"Known: {known}.")
-    port = load_port(name_or_path)
+    try:
+        port = load_port(name_or_path)
+    except UnknownPortError as error:
+        own = ", ".join(model.name for model in user_models())
+        raise UnknownPortError(error.cause, remedy=f"{error.remedy}{f' Your own: {own}.' if own else ''}") from error
     vertices, faces = build_mesh(port.shape)
     return PortModel.from_mesh(port.name, vertices, faces, T_port_tcp=port.T_port_tcp)

@@ -19,6 +19,7 @@ from controller.cli import (
     locate,
     merge,
     mock,
+    model,
     recording,
     scan,
     scanner,
@@ -53,6 +54,7 @@ app.command("convert")(convert.convert)
 app.command("doctor")(doctor.doctor)
 app.add_typer(config.app, name="config")
 app.add_typer(mock.app, name="mock")
+app.add_typer(model.app, name="model")
 app.add_typer(recording.app, name="recording")
 app.add_typer(charger.app, name="charger")
 app.add_typer(scanner.app, name="scanner")

@@ -59,7 +59,7 @@ _MAX_POINTS = 40_000
 def timeline(spans: Sequence[StateSpan]) -> bytes:
     """States over time as a stepped bar: one row for each state that was entered. SVG."""
     rows = list(dict.fromkeys(span.state for span in spans))
-    with _figure(10.0, 0.9 + 0.24 * len(rows)) as figure:
+    with styled(10.0, 0.9 + 0.24 * len(rows)) as figure:
         axes = figure.add_subplot()
         end_s = max(spans[-1].end_s, 1e-6)
         for span in spans:
@@ -77,23 +77,23 @@ def timeline(spans: Sequence[StateSpan]) -> bytes:
         axes.set_xlabel("time since start, s")
         axes.tick_params(axis="y", length=0)
         axes.grid(visible=False, axis="y")
-        return _picture(figure, "svg")
+        return picture(figure, "svg")
 
 
 def aligned_views(alignment: Alignment) -> bytes:
     """The scan with the model drawn at the estimated pose: into the port, and a section along its axis. PNG."""
     scan, model = 1e3 * alignment.scan, 1e3 * alignment.model
-    with _figure(10.0, 5.0) as figure:
+    with styled(10.0, 5.0) as figure:
         front, side = figure.subplots(1, 2, width_ratios=[1.25, 1.0])
         for points, colour, name, size in ((model, MODEL, "port model", 1.2), (scan, SCAN, "scan", 2.0)):
             shown = _thinned(points)
             front.scatter(shown[:, 0], shown[:, 1], s=size, color=colour, linewidths=0, alpha=0.55, label=name)
             cut = _thinned(points[np.abs(points[:, 0]) < _half_section(points)])
             side.scatter(cut[:, 2], cut[:, 1], s=2.2 * size, color=colour, linewidths=0, alpha=0.75)
-        _label(front, "looking into the port", "x, mm (right)", "y, mm (up)")
-        _label(side, "section along the axis", "z, mm (out of the vehicle)", "y, mm (up)")
+        label(front, "looking into the port", "x, mm (right)", "y, mm (up)")
+        label(side, "section along the axis", "z, mm (out of the vehicle)", "y, mm (up)")
         front.legend(loc="upper left", markerscale=5, bbox_to_anchor=(0.0, -0.1), ncols=2)
-        return _picture(figure, "png")
+        return picture(figure, "png")
 
 
 def residuals(alignment: Alignment) -> bytes:
@@ -102,7 +102,7 @@ def residuals(alignment: Alignment) -> bytes:
     points, distance = 1e3 * alignment.scan[near], 1e3 * alignment.distance_m[near]
     far = _thinned(1e3 * alignment.scan[~near])
     order = np.argsort(distance)  # the worst points on top
-    with _figure(10.0, 4.6) as figure:
+    with styled(10.0, 4.6) as figure:
         chart, histogram = figure.subplots(1, 2, width_ratios=[1.35, 1.0])
         chart.scatter(far[:, 0], far[:, 1], s=1.0, color="#d5dbe1", linewidths=0)
         drawn = chart.scatter(
@@ -114,7 +114,7 @@ def residuals(alignment: Alignment) -> bytes:
             vmin=0,
             vmax=1,
         )
-        _label(chart, "distance from the model's surface", "x, mm", "y, mm")
+        label(chart, "distance from the model's surface", "x, mm", "y, mm")
         bar = figure.colorbar(drawn, ax=chart, extend="max", shrink=0.8)
         bar.set_label("mm")
         histogram.hist(distance, bins=60, range=(0, 2.0), color=SCAN)
@@ -122,17 +122,17 @@ def residuals(alignment: Alignment) -> bytes:
             for share, name in ((50, "median"), (95, "95 %")):
                 value = float(np.percentile(distance, share))
                 histogram.axvline(value, color=MODEL, linewidth=1.2)
-                label = f" {name} {value:.2f} mm"
-                histogram.annotate(label, (value, 0.97 - 0.07 * (share == 95)), xycoords=_DATA_AND_AXES, color=INK)
+                note = f" {name} {value:.2f} mm"
+                histogram.annotate(note, (value, 0.97 - 0.07 * (share == 95)), xycoords=_DATA_AND_AXES, color=INK)
         histogram.set_xlim(0, 2.0)
         histogram.set_title("points by distance", loc="left")
         histogram.set_xlabel("mm (points farther than 2 mm are grey on the left)")
-        return _picture(figure, "png")
+        return picture(figure, "png")
 
 
 def force_over_depth(traces: Sequence[InsertionTrace]) -> bytes:
     """Axial force over depth, one line for each attempt. SVG."""
-    with _figure(4.9, 3.6) as figure:
+    with styled(4.9, 3.6) as figure:
         axes = figure.add_subplot()
         shades = np.linspace(0.45, 1.0, len(traces)) if len(traces) > 1 else np.ones(1)
         for trace, shade in zip(traces, shades, strict=True):
@@ -142,15 +142,15 @@ def force_over_depth(traces: Sequence[InsertionTrace]) -> bytes:
             axes.plot(depth[-1], force[-1], "o", color=FORCE, alpha=float(shade), markersize=4)
         axes.axvline(0.0, color=MUTED, linewidth=0.8, linestyle="--")
         axes.annotate(" rim plane", (0.0, 0.97), xycoords=_DATA_AND_AXES, color=MUTED, fontsize=8, va="top")
-        _label(axes, "force over depth", "depth of the plug, mm", "axial force, N", equal=False)
+        label(axes, "force over depth", "depth of the plug, mm", "axial force, N", equal=False)
         if len(traces) > 1:
             axes.legend()
-        return _picture(figure, "svg")
+        return picture(figure, "svg")
 
 
 def force_over_time(traces: Sequence[InsertionTrace]) -> bytes:
     """Depth, axial and lateral force over time, all attempts. SVG."""
-    with _figure(4.9, 3.6) as figure:
+    with styled(4.9, 3.6) as figure:
         depth_axes, force_axes = figure.subplots(2, 1, sharex=True)
         for k, trace in enumerate(traces):
             time_s = _spaced(trace.time_s)
@@ -158,10 +158,10 @@ def force_over_time(traces: Sequence[InsertionTrace]) -> bytes:
             depth_axes.plot(time_s, _spaced(trace.depth_mm), color=DEPTH, linewidth=1.3)
             force_axes.plot(time_s, _spaced(trace.axial_n), color=FORCE, linewidth=1.1, label=names[0])
             force_axes.plot(time_s, _spaced(trace.lateral_n), color=LATERAL, linewidth=1.1, label=names[1])
-        _label(depth_axes, "depth and force over time", "", "depth, mm", equal=False)
-        _label(force_axes, "", "time since start, s", "force, N", equal=False)
+        label(depth_axes, "depth and force over time", "", "depth, mm", equal=False)
+        label(force_axes, "", "time since start, s", "force, N", equal=False)
         force_axes.legend(ncols=2, loc="upper left")
-        return _picture(figure, "svg")
+        return picture(figure, "svg")
 
 
 _BESIDE: dict[str, Any] = {"textcoords": "offset points", "va": "center"}
@@ -169,19 +169,22 @@ _DATA_AND_AXES: Any = ("data", "axes fraction")
 
 
 @contextmanager
-def _figure(width_in: float, height_in: float) -> Iterator[Figure]:
+def styled(width_in: float, height_in: float) -> Iterator[Figure]:
+    """An empty figure in the reports' style, which holds while it is drawn and saved."""
     with mpl.rc_context(_STYLE):
         yield Figure(figsize=(width_in, height_in), layout="constrained")
 
 
-def _picture(figure: Figure, kind: Literal["png", "svg"]) -> bytes:
+def picture(figure: Figure, kind: Literal["png", "svg"]) -> bytes:
+    """The figure as a file's bytes."""
     buffer = io.BytesIO()
     metadata = {"Date": None} if kind == "svg" else None
     figure.savefig(buffer, format=kind, dpi=160, metadata=metadata)
     return buffer.getvalue()
 
 
-def _label(axes: Axes, title: str, x: str, y: str, *, equal: bool = True) -> None:
+def label(axes: Axes, title: str, x: str, y: str, *, equal: bool = True) -> None:
+    """Title and axis names; ``equal``: a millimetre is as long on both axes."""
     axes.set_title(title, loc="left")
     axes.set_xlabel(x)
     axes.set_ylabel(y)
