@@ -20,6 +20,7 @@ from controller.config_section import ConfigError, PoseConfig, Section
 from controller.config_units import unit_of
 from controller.insertion_config import InsertionConfig
 from controller.scanner_config import ScannerConfig
+from controller.service_config import ServiceConfig
 
 
 class PortConfig(Section):
@@ -173,6 +174,7 @@ class SiteConfig(Section):
     deadlines: DeadlinesConfig = DeadlinesConfig()
     host: HostConfig = HostConfig()
     recording: RecordingConfig = RecordingConfig()
+    service: ServiceConfig = ServiceConfig()
 
     @property
     def insertion_here(self) -> InsertionConfig:

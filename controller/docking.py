@@ -155,14 +155,21 @@ def _failed(task: Task, setback: Fault, event: Event) -> Event:
 
 
 def charge(task: Task) -> Event | None:
-    """Power on; charging is a measured current, never a command's echo. None: docked, the job is done."""
-    cell, mission = task.cell, task.config.mission
+    """Power on; charging is a measured current, never a command's echo.
+
+    None: docked, and the job is done or the process is to end.
+    """
+    cell, mission, desk = task.cell, task.config.mission, task.desk
     cell.do(StopMotion())
     task.must(ChargerRequest.ENABLE_POWER)
-    if not _current_comes(task):
+    if not _current_comes(task) and not desk.leaving:
         task.now.setback = Fault(FaultCode.NOT_CHARGING, f"no {mission.min_charge_current_a:g} A after {POWER_S:g} s")
         return Event.CHARGE_COMPLETE
-    ended = cell.supervisor.wait(lambda: cell.charger_says(lambda s: not _flows(task, s)), mission.charge_s)
+    ended = cell.supervisor.wait(
+        lambda: desk.leaving or cell.charger_says(lambda s: not _flows(task, s)), mission.charge_s
+    )
+    if desk.leaving:
+        return None
     if ended and not cell.charger_says(_rests):
         task.now.setback = Fault(FaultCode.NOT_CHARGING, "the current broke off")
         return Event.CHARGE_COMPLETE
@@ -212,7 +219,7 @@ _NOT_LIVE = (ChargerState.FINISHED, ChargerState.READY, ChargerState.IDLE, Charg
 
 def _current_comes(task: Task) -> bool:
     cell = task.cell
-    return cell.supervisor.wait(lambda: cell.charger_says(lambda s: _flows(task, s)), POWER_S)
+    return cell.supervisor.wait(lambda: task.desk.leaving or cell.charger_says(lambda s: _flows(task, s)), POWER_S)
 
 
 def _flows(task: Task, status: ChargerStatus) -> bool:

@@ -114,6 +114,9 @@ class Mission:
         try:
             return self._steps[self.state](self.task)
         except StopRequested:
+            if self.state is State.CHARGING and self.task.desk.leaving:  # which switches off, and moves nothing
+                self.task.cell.supervisor.clear_stop()
+                return None
             if self.now.outcome is not None:  # docked, and no job is under way: the stop is one
                 self._begin(Goal.UNDOCK)
             self.now.stopping = True
@@ -234,7 +237,7 @@ class Mission:
             return Event.UNDOCK_REQUESTED
         event = charge(task) if self.now.goal in (Goal.DOCK, Goal.CYCLE) else None
         if event is None:
-            self._conclude(Outcome("charging"))
+            self._conclude(Outcome("stopped" if task.desk.leaving else "charging"))
         return event
 
     def _asked_while_docked(self, goal: Goal) -> Event | None:

@@ -153,6 +153,11 @@ class Supervisor:
         return self._trip
 
     @property
+    def ticks(self) -> int:
+        """How many ticks there have been."""
+        return self._ticks
+
+    @property
     def stop_requested(self) -> bool:
         """Whether somebody asked to finish safely."""
         return self._request.stop

@@ -19,6 +19,8 @@ HERE = Path(__file__).parent
 OVER_WIRES = ("contract", "faults", "system")
 IN_REAL_TIME = (
     "test_mission.py",
+    "test_undocking.py",
+    "test_daemon.py",
     "test_arm_worker.py",
     "test_arm_telemetry.py",
     "test_recorder.py",

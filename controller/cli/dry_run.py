@@ -1,4 +1,4 @@
-"""``portdock dry-run`` and ``portdock run``: one docking mission, with mock hardware or with the site's devices."""
+"""``portdock dry-run``: one docking mission with mock hardware."""
 
 from __future__ import annotations
 
@@ -84,21 +84,6 @@ def keep_mock_logs(wires: Path, folder: Path) -> None:
     for log in wires.glob("mock-*.log"):
         if log.stat().st_size:
             shutil.copy(log, folder)
-
-
-def run(
-    config: Annotated[Path, typer.Option(help="The site file.")],
-    out: Annotated[Path | None, typer.Option(help="Folder for recording and report.")] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object instead of progress.")] = False,
-) -> None:
-    """Run one docking mission on the devices that the site file names. The arm will move."""
-    from controller.session import run_session  # see above
-
-    site = load_config(config)
-    with make_display(quiet=as_json) as display:
-        summary = run_session(site, run_folder(out, site), display)
-        display.finish(summary)
-    finish(summary, as_json)
 
 
 def run_folder(out: Path | None, site: SiteConfig) -> Path:

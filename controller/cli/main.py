@@ -16,6 +16,7 @@ from controller.cli import (
     doctor,
     dry_run,
     evaluate,
+    jobs,
     locate,
     merge,
     mock,
@@ -23,6 +24,7 @@ from controller.cli import (
     recording,
     scan,
     scanner,
+    service,
     states,
 )
 from controller.config_section import ConfigError
@@ -35,6 +37,7 @@ EXIT_OTHERWISE = 1
 EXIT_USAGE = 2
 EXIT_LINK = 3
 EXIT_GATE = 4
+EXIT_BUSY = 5
 
 app = typer.Typer(
     name="portdock",
@@ -42,10 +45,12 @@ app = typer.Typer(
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     epilog="Exit codes: 0 done, 1 ended otherwise than asked, 2 usage or input, 3 a link could not be opened, "
-    "4 the safety gate refused. portdock is not a safety function.",
+    "4 the safety gate refused, 5 the daemon is busy with something else. portdock is not a safety function.",
 )
 app.command("dry-run")(dry_run.dry_run)
-app.command("run")(dry_run.run)
+app.command("run")(service.run)
+for command in (jobs.dock, jobs.undock, jobs.stop, jobs.abort, jobs.reset, jobs.status):
+    app.command()(command)
 app.command("locate")(locate.locate)
 app.command("merge")(merge.merge)
 app.command("states")(states.states)

@@ -25,6 +25,7 @@ from controller.supervisor import Sources, Supervisor
 from controller.task import Goal, Progress
 from drivers.base import (
     ArmState,
+    CanFrame,
     ChargerRequest,
     ChargerState,
     ChargerStatus,
@@ -211,6 +212,9 @@ class StandInCharger:
     def health(self) -> LinkHealth:
         return LinkHealth(not self.lost, CLOCK.now_s())
 
+    def traffic_before_loss(self) -> tuple[CanFrame, ...]:
+        return ()
+
     def heartbeat(self, beat: Heartbeat) -> None:
         self.beats.append(beat)
 
@@ -352,6 +356,7 @@ class Script:
 
     def __init__(self, *jobs: Goal | Callable[[], None]) -> None:
         self._jobs = list(jobs)
+        self._under_way = False
         self.outcomes: list[Outcome] = []
 
     def _next(self) -> Goal | None:
@@ -365,23 +370,25 @@ class Script:
 
     @property
     def leaving(self) -> bool:
-        return self._next() is None
+        return not self._under_way and self._next() is None
 
     def take(self) -> Goal:
         goal = self._jobs.pop(0)
         assert isinstance(goal, Goal)
+        self._under_way = True
         return goal
 
     def answered(self, outcome: Outcome) -> None:
+        self._under_way = False
         self.outcomes.append(outcome)
 
 
 class Rig:
     """One mission on stand-ins."""
 
-    def __init__(self, folder: Path, accepted: list[bool] | None = None) -> None:
+    def __init__(self, folder: Path, accepted: list[bool] | None = None, port: Pose | None = None) -> None:
         self.config = load_config()
-        port = self.config.port.T_base_port.pose
+        port = port or self.config.port.T_base_port.pose
         self.arm = StandInArm(port)
         self.charger = StandInCharger(self.arm)
         self.scanner = StandInScanner()
@@ -413,11 +420,11 @@ class Rig:
             reach=lambda poses: None,
             records=self.decisions,
         )
-        T_port_tcp = Pose(FACING, np.array([0.0, 0.0, -MATED_DEPTH_M]))
+        self.T_port_tcp = Pose(FACING, np.array([0.0, 0.0, -MATED_DEPTH_M]))
         self.mission = Mission(
             self.cell,
             self.config,
-            T_port_tcp,
+            self.T_port_tcp,
             self.watch,
             folder,
             lambda: StandInLooking(self.cell, self.config, accepted or [True]),  # type: ignore[arg-type, return-value]

@@ -1,0 +1,180 @@
+"""One recording a mission, for a daemon whose links stay open: what they carry goes to the recorder of the moment.
+
+Between two missions the links' traffic goes nowhere. Reports are drawn by a process of their own at a low priority.
+"""
+
+from __future__ import annotations
+
+import logging
+import subprocess
+import sys
+from collections.abc import Callable
+from contextlib import ExitStack
+from datetime import datetime
+from pathlib import Path
+
+from controller.cell import Cell
+from controller.config import SiteConfig
+from controller.daemon.protocol import Event, ProgressEvent, StateEvent
+from controller.faults import Outcome
+from controller.insertion import Insertion
+from controller.perception_worker import PreparedModel
+from controller.recording.log import log_into
+from controller.recording.recorder import Recorder
+from controller.recording.ring import prune
+from controller.session import RECORDING_NAME, REPORT_NAME, MissionWatcher, attach_context, close_recording, summary_of
+from controller.summary import MissionSummary
+from controller.task import Goal, Progress
+from drivers.base import ArmCommandRecord, ArmState, CanFrame, Direction, MonotonicClock
+from perception.errors import PortdockError
+from perception.estimate import PortEstimate
+from perception.scan import Cloud
+
+log = logging.getLogger(__name__)
+
+REPORT_NICE = "15"
+
+
+class _Unseen:
+    """A mission's display where nobody looks: subscribers are told by ``Recordings`` itself."""
+
+    def state(self, name: str, elapsed_s: float) -> None: ...
+    def progress(self, label: str, fraction: float, detail: str) -> None: ...
+
+
+class Recordings:
+    """The evidence of a daemon: ``ByteSink``, the gate's ``CommandLog`` and the mission's ``Watcher`` in one."""
+
+    def __init__(
+        self,
+        config: SiteConfig,
+        publish: Callable[[Event], None],
+        ended: Callable[[Outcome, Progress, MissionSummary | None], None],
+        reports: bool = True,
+    ) -> None:
+        """``ended`` gets each mission's result before its job is answered. ``reports``: draw a page a mission."""
+        self._config, self._publish, self._ended, self._reports = config, publish, ended, reports
+        self._recorder: Recorder | None = None
+        self._watcher: MissionWatcher | None = None
+        self._closing = ExitStack()
+        self._cell: Cell | None = None
+        self._model: PreparedModel | None = None
+        self._drawing: subprocess.Popen[bytes] | None = None
+        self._begin_s = 0.0
+        self.on_transition: Callable[[str, str, str], None] = lambda source, event, target: None
+        """Told every transition, also those between missions."""
+
+    def attach(self, cell: Cell, model: PreparedModel) -> None:
+        """The live cell: known only after the sink that is handed to it."""
+        self._cell, self._model = cell, model
+
+    # --- a mission's life ---------------------------------------------------------------------------------------------
+
+    def began(self, goal: Goal) -> None:
+        """A new recording. Without one the mission goes on: a full disk must not keep a plug in a port."""
+        assert self._cell is not None and self._model is not None
+        self._finish(None)
+        self._begin_s = self._cell.clock.now_s()
+        stamp = datetime.now().strftime("%Y%m%d-%H%M%S-%f")
+        folder = Path(self._config.recording.folder) / f"{stamp}-{goal.value}"
+        try:
+            recorder = Recorder((folder / RECORDING_NAME).resolve(), MonotonicClock())
+        except (PortdockError, OSError) as error:
+            log.error("this mission is not recorded: %s", error)
+            return
+        attach_context(recorder, self._config, self._model, {"goal": goal.value})
+        self._closing.enter_context(log_into(recorder))
+        self._watcher = MissionWatcher(recorder, _Unseen())
+        self._recorder = recorder
+
+    def ended(self, outcome: Outcome, job: Progress) -> None:
+        """The recording is complete with the mission's summary."""
+        summary: MissionSummary | None = None
+        watcher = self._watcher
+        if self._recorder is not None and watcher is not None and watcher.passed and self._cell is not None:
+            states = watcher.durations(self._cell.clock.now_s())
+            summary = summary_of(job, states, None, self._recorder.path.parent)
+        self._finish(summary)
+        self._ended(outcome, job, summary)
+
+    def close(self) -> None:
+        """End a recording that has no end, and wait a little for the last report."""
+        self._finish(None)
+        if self._drawing is not None:
+            try:
+                self._drawing.wait(timeout=10.0)
+            except subprocess.TimeoutExpired:
+                self._drawing.terminate()
+
+    def _finish(self, summary: MissionSummary | None) -> None:
+        recorder, self._recorder, self._watcher = self._recorder, None, None
+        if recorder is None or self._cell is None:
+            return
+        try:
+            if summary is None:
+                recorder.close()
+            else:
+                close_recording(recorder, self._cell, summary)
+        except Exception:  # whatever it is costs the recording its end, never the mission
+            log.exception("%s lacks its end", recorder.path)
+        self._closing.close()
+        recording = self._config.recording
+        prune(Path(recording.folder), int(recording.keep_mb * 1e6))
+        if self._reports and recorder.failure is None:
+            self._draw(recorder.path)
+
+    def _draw(self, recording: Path) -> None:
+        """The report, one at a time; a mission that ends while one is drawn has its report drawn on request."""
+        if self._drawing is not None and self._drawing.poll() is None:
+            log.info("no report for %s: the one before is still being drawn", recording)
+            return
+        command = ["nice", "-n", REPORT_NICE, sys.executable, "-m", "controller.cli.main", "recording", "report"]
+        command += [str(recording), "--out", str(recording.with_name(REPORT_NAME))]
+        self._drawing = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL)
+
+    # --- Watcher ------------------------------------------------------------------------------------------------------
+
+    def transition(self, source: str, event: str, target: str, time_s: float) -> None:
+        if self._watcher is not None:
+            self._watcher.transition(source, event, target, time_s)
+        self._publish(StateEvent(target, event, round(time_s - self._begin_s, 3)))
+        self.on_transition(source, event, target)
+
+    def progress(self, label: str, fraction: float, detail: str) -> None:
+        if self._watcher is not None:
+            self._watcher.progress(label, fraction, detail)
+        self._publish(ProgressEvent(label, round(fraction, 3), detail))
+
+    def scan(self, cloud: Cloud) -> None:
+        if self._watcher is not None:
+            self._watcher.scan(cloud)
+
+    def estimate(self, estimate: PortEstimate) -> None:
+        if self._watcher is not None:
+            self._watcher.estimate(estimate)
+
+    def insertion(self, insertion: Insertion) -> None:
+        if self._watcher is not None:
+            self._watcher.insertion(insertion)
+
+    # --- what the links carry and the gate decides --------------------------------------------------------------------
+
+    def scanner_bytes(self, direction: Direction, data: bytes, host_time_ns: int) -> None:
+        if (recorder := self._recorder) is not None:
+            recorder.scanner_bytes(direction, data, host_time_ns)
+
+    def can_frame(self, frame: CanFrame) -> None:
+        if (recorder := self._recorder) is not None:
+            recorder.can_frame(frame)
+
+    def arm_state(self, state: ArmState) -> None:
+        if (recorder := self._recorder) is not None:
+            recorder.arm_state(state)
+
+    def arm_command(self, record: ArmCommandRecord) -> None:
+        if (recorder := self._recorder) is not None:
+            recorder.arm_command(record)
+
+    def command(self, name: str, detail: str, allowed: bool, reason: str) -> None:
+        if (recorder := self._recorder) is not None:
+            recorder.command(name, detail, allowed, reason)
