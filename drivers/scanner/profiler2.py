@@ -24,6 +24,7 @@ from drivers.scanner.counters import ClockUnwrapper
 from drivers.scanner.profiler2_codec import Words
 from drivers.scanner.question_line import QuestionLine
 from drivers.scanner.serial_link import SerialSettings
+from perception.geometry import Array
 from perception.scan import Profile
 
 logger = logging.getLogger(__name__)
@@ -183,9 +184,15 @@ class Profiler2:
         return reply.words[2:], reply.host_s
 
     def _decoded(self, raw: Words, number: int, host_s: float, device_s: float) -> Profile:
-        xy = raw.reshape(-1, 2)
-        seen = (xy != NO_MEASUREMENT).all(axis=1)
-        metres = xy[seen].astype(np.int16) * 1e-6
-        sign = 1.0 if self._settings.y_away else -1.0
-        points = np.stack([metres[:, 0], self._settings.reference_m + sign * metres[:, 1]], axis=1)
-        return Profile(number, host_s, device_s, points, None, float(seen.mean()) if len(seen) else 0.0)
+        points, quality = points_of(raw, self._settings)
+        return Profile(number, host_s, device_s, points, None, quality)
+
+
+def points_of(raw: Words, settings: Profiler2Settings) -> tuple[Array, float]:
+    """Points (N, 2) in metres of XY words, only what was measured, and the share of it."""
+    xy = raw.reshape(-1, 2)
+    seen = (xy != NO_MEASUREMENT).all(axis=1)
+    metres = xy[seen].astype(np.int16) * 1e-6
+    sign = 1.0 if settings.y_away else -1.0
+    points = np.stack([metres[:, 0], settings.reference_m + sign * metres[:, 1]], axis=1)
+    return points, float(seen.mean()) if len(seen) else 0.0

@@ -12,7 +12,6 @@ from collections import deque
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from drivers.base import ByteSink, Clock, LinkHealth, LinkLostError, LinkOpenError
 from drivers.frame_format import CounterField
@@ -87,6 +86,7 @@ class ScipScanner:
         self._answers: list[Reply] = []
         self._profiles: deque[Profile] = deque(maxlen=queue_profiles)
         self._geometry: ScipGeometry | None = None
+        self._beams: Array | None = None
         self._streaming = False
         self._number = 0
         self._refused = 0
@@ -237,20 +237,22 @@ class ScipScanner:
             return
         device_s = self._time.seconds(int(ticks[0]), host_s)
         columns = values.reshape(count, -1)
-        points, seen = self._points(columns[:, 0].astype(np.float64), first)
+        ranges_mm = columns[:, 0]
+        seen = (ranges_mm >= self.geometry.min_range_mm) & (ranges_mm <= self.geometry.max_range_mm)  # below: errors
+        points = (ranges_mm * 1e-3)[seen, None] * self._directions(count, first)[seen]
         light = columns[seen, 1].astype(np.float64) if self._settings.intensity else None
-        self._profiles.append(Profile(self._number, host_s, device_s, points[seen], light, float(seen.mean())))
+        self._profiles.append(Profile(self._number, host_s, device_s, points, light, np.count_nonzero(seen) / count))
         self._last_good_s = host_s
 
-    def _points(self, ranges_mm: Array, first: int) -> tuple[Array, NDArray[np.bool_]]:
-        """Points (N, 2) in metres, and which of them were measured: below DMIN the number is an error code."""
-        geometry, cluster = self.geometry, self._settings.cluster
-        step = first + cluster * np.arange(len(ranges_mm)) + (cluster - 1) / 2
-        angle = (step - geometry.front_step) * 2 * np.pi / geometry.steps_per_turn
-        seen = (ranges_mm >= geometry.min_range_mm) & (ranges_mm <= geometry.max_range_mm)
-        side = -1.0 if self._settings.counter_clockwise else 1.0
-        metres = ranges_mm * 1e-3
-        return np.stack([side * metres * np.sin(angle), metres * np.cos(angle)], axis=1), seen
+    def _directions(self, count: int, first: int) -> Array:
+        """Unit vectors (N, 2) of the beams, x and z; the same for all scans with the same steps."""
+        if self._beams is None or len(self._beams) != count:
+            cluster = self._settings.cluster
+            step = first + cluster * np.arange(count) + (cluster - 1) / 2
+            angle = (step - self.geometry.front_step) * 2 * np.pi / self.geometry.steps_per_turn
+            side = -1.0 if self._settings.counter_clockwise else 1.0
+            self._beams = np.stack([side * np.sin(angle), np.cos(angle)], axis=1)
+        return self._beams
 
     def _steps(self) -> tuple[int, int]:
         first, last = self._settings.first_step, self._settings.last_step

@@ -9,6 +9,7 @@ protocol specification for SCIP 2.0 standard", C-42-03320B.
 from __future__ import annotations
 
 from dataclasses import dataclass, field, fields
+from itertools import takewhile
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +19,7 @@ Ints = NDArray[np.int64]
 LINE_CHARACTERS = 64
 MAX_REPLY_BYTES = 1 << 16
 OK, STREAMING = "00", "99"
+_PRINTABLE_AND_NEW_LINE = bytes(range(0x20, 0x7F)) + b"\n"
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,23 +83,24 @@ def parse_reply(block: bytes) -> Reply | None:
     lines = block.split(b"\n")
     if len(lines) < 2 or len(lines[0]) < 2 or not lines[0].isascii() or not lines[0][:2].isalpha():
         return None
-    if len(lines[1]) != 3 or not (_are_sound(lines[1:]) or all(is_sound(line) for line in lines[1:])):
+    if len(lines[1]) != 3:
+        return None
+    full = sum(1 for _ in takewhile(lambda line: len(line) == LINE_CHARACTERS + 1, lines[3:]))
+    if not full or not _are_sound(b"\n".join(lines[3 : 3 + full]), full):
+        full = 0
+    if not all(is_sound(line) for line in lines[1:3] + lines[3 + full :]):
         return None
     data = tuple(line[:-1] for line in lines[2:])
     return Reply(lines[0].decode("ascii"), lines[1][:2].decode("ascii"), data)
 
 
-def _are_sound(lines: list[bytes]) -> bool:
-    """``is_sound`` of all lines in one go, for those without a semicolon's freedom: the lines of measured data."""
-    lengths = np.array([len(line) for line in lines])
-    if lengths.min() < 2:
+def _are_sound(text: bytes, count: int) -> bool:
+    """``is_sound`` of full lines in one go, for those without a semicolon's freedom: the lines of measured data."""
+    if len(text) != count * (LINE_CHARACTERS + 2) - 1 or text.translate(None, _PRINTABLE_AND_NEW_LINE):
         return False
-    raw = np.frombuffer(b"".join(lines), np.uint8)
-    if raw.min() < 0x20 or raw.max() > 0x7E:
-        return False
-    ends = np.cumsum(lengths) - 1
-    totals = np.add.reduceat(raw.astype(np.int64), ends - lengths + 1) - raw[ends]
-    return bool((((totals & 0x3F) + 0x30) == raw[ends]).all())
+    grid = np.frombuffer(text + b"\n", np.uint8).reshape(count, LINE_CHARACTERS + 2)
+    sums = (grid[:, :LINE_CHARACTERS].sum(axis=1, dtype=np.uint32) & 0x3F) + 0x30
+    return bool((sums == grid[:, LINE_CHARACTERS]).all())
 
 
 def line_sum(content: bytes) -> int:
@@ -115,11 +118,13 @@ def is_sound(line: bytes) -> bool:
 
 def decode(lines: tuple[bytes, ...], characters: int) -> Ints | None:
     """Numbers (N,) of ``characters`` characters each from a block's lines; None where the lines do not hold such."""
-    raw = np.frombuffer(b"".join(lines), np.uint8).astype(np.int64) - 0x30
-    if len(raw) % characters or (len(raw) and (raw.min() < 0 or raw.max() > 0x3F)):
+    raw = np.frombuffer(b"".join(lines), np.uint8) - np.uint8(0x30)
+    if len(raw) % characters or (raw > 0x3F).any():
         return None
-    weights = 64 ** np.arange(characters - 1, -1, -1)
-    values: Ints = raw.reshape(-1, characters) @ weights
+    digits = raw.reshape(-1, characters)
+    values: Ints = digits[:, 0].astype(np.int64)
+    for place in range(1, characters):
+        values = values << 6 | digits[:, place]
     return values
 
 
