@@ -79,7 +79,8 @@ class TestLinksThatCannotBeOpened:
 
     def run(self, folder: Path, **site: object) -> tuple[int, str]:
         out = folder / "out"
-        text = json.dumps(site)
+        service = {"socket": str(folder / "s"), "state_folder": str(folder / "state"), "http_port": 0}
+        text = json.dumps({**site, "service": service, "recording": {"folder": str(out)}})
         done = subprocess.run(
             [
                 sys.executable,
@@ -88,9 +89,6 @@ class TestLinksThatCannotBeOpened:
                 "run",
                 "--config",
                 site_file(folder, text),
-                "--out",
-                str(out),
-                "--json",
             ],
             capture_output=True,
             check=False,
