@@ -8,16 +8,14 @@ laser plane, NaN where nothing was measured, and ``profile_y_m`` (K,), the scann
 from __future__ import annotations
 
 import zipfile
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from perception.errors import ScanFileError
-from perception.evaluation.scenes import SimulatedScan, simulate_scan
+from perception.evaluation.scenes import SimulatedScan
 from perception.geometry import Array, Pose
-from perception.port_shape import PortShape
 from perception.scan import Cloud
 
 _GRID_M = 2.0**-17
@@ -76,13 +74,6 @@ def write_sweep(path: Path | str, scan: SimulatedScan, *, every: int = 3) -> int
         profile_y_m=y,
     )
     return int(keep.sum())
-
-
-def regenerate(folder: Path, shape_of: Callable[[str], PortShape]) -> None:
-    """Write the bundled recordings anew; ``shape_of`` gives a port's shape by its name."""
-    for port, seed in (("ccs2", 7), ("type2", 11)):
-        scan = simulate_scan(shape_of(port), "nominal", np.random.default_rng(seed), integrity=1.0)
-        write_sweep(folder / f"{port}-nominal.npz", scan)
 
 
 def _rounded(points: Array) -> Array:
