@@ -109,12 +109,14 @@ class MockCell:
 
     def _world(self) -> WorldSpec:
         config, port = self._base, load_port(self._base.port.model)
+        unknown = self._scenario.miscalibration
         return WorldSpec(
             seed=self._seed,
             port=port.name,
             T_base_port=_vector(self._scenario.T_base_port),
-            T_flange_scanner=_vector(config.scanner.T_flange_scanner.pose),
-            T_flange_tcp=_vector(config.arm.T_flange_tcp.pose),
+            T_flange_scanner=_vector(config.scanner.T_flange_scanner.pose @ unknown.scanner),
+            T_flange_tcp=_vector(config.arm.T_flange_tcp.pose @ unknown.tool),
+            joint_offsets=unknown.joints,
             T_port_tcp=_vector(port.T_port_tcp),
             panel="plain" if self._scenario.plain_panel else "port",
             glare_until_sweep=self._scenario.glare_until_sweep,

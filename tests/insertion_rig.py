@@ -170,8 +170,11 @@ class InsertionRig:
         *,
         start_mm: float = 8.0,
         port: str = "ccs2",
+        tool_error: Pose | None = None,
+        joint_offsets: Array | None = None,
         **world: Any,
     ) -> None:
+        """``tool_error``: the true TCP in the believed one; ``joint_offsets``: true joint angles minus the reported."""
         self.config: SiteConfig = load_config()
         self.settings = self.config.insertion.on(port)
         description = load_port(port)
@@ -185,7 +188,7 @@ class InsertionRig:
             port=port,
             T_base_port=tuple(self.truth.vector),  # type: ignore[arg-type]
             T_flange_scanner=(0.0,) * 6,  # type: ignore[arg-type]
-            T_flange_tcp=tuple(tcp.vector),  # type: ignore[arg-type]
+            T_flange_tcp=tuple((tcp @ (tool_error or Pose.identity())).vector),  # type: ignore[arg-type]
             T_port_tcp=tuple(description.T_port_tcp.vector),  # type: ignore[arg-type]
             **world,
         )
@@ -195,7 +198,8 @@ class InsertionRig:
         kinematics = Kinematics(MODELS["ur10e"])
         q = kinematics.inverse((self.plan.pre_contact @ tcp.inverse()).matrix, HOME)
         assert q is not None
-        mock = Arm(kinematics, q, PortEnvironment(self.world, self.board), Sensor(rng, 0.3, 0.01, 3.0, 0.1))
+        sensor = Sensor(rng, 0.3, 0.01, 3.0, 0.1)
+        mock = Arm(kinematics, q, PortEnvironment(self.world, self.board), sensor, joint_offsets)
         mock.set_tcp(tcp.matrix)
         self.arm = EmulatedArm(mock, tcp)
         self.arm.run(0.2)

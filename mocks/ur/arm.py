@@ -87,7 +87,16 @@ class Sensor:
 class Arm:
     """State of the arm and the one function that advances it."""
 
-    def __init__(self, kinematics: Kinematics, q: Array, environment: Environment, sensor: Sensor) -> None:
+    def __init__(
+        self,
+        kinematics: Kinematics,
+        q: Array,
+        environment: Environment,
+        sensor: Sensor,
+        joint_offsets: Array | None = None,
+    ) -> None:
+        """``joint_offsets`` (6,) rad: true joint angles minus those that the arm believes and reports."""
+        self._joint_offsets = None if joint_offsets is None or not joint_offsets.any() else joint_offsets
         self.reference = Reference(kinematics, q)
         self.environment = environment
         self.sensor = sensor
@@ -109,6 +118,13 @@ class Arm:
     def q(self) -> Array:
         """Joints (6,) rad."""
         return self.reference.q
+
+    @property
+    def T_base_flange_true(self) -> Array:
+        """Where the flange really is (4, 4): by the true joint angles, which the arm itself does not know."""
+        if self._joint_offsets is None:
+            return np.asarray(self.reference.links[5])
+        return self.reference.kinematics.flange(self.q + self._joint_offsets)
 
     @property
     def scaling(self) -> float:
@@ -212,7 +228,7 @@ class Arm:
 
     def _sense(self, dt: float) -> None:
         self.history.append(self.q)
-        self.true_wrench = self.environment.step(self.reference.links[5], dt)
+        self.true_wrench = self.environment.step(self.T_base_flange_true, dt)
         self.wrench = self.sensor.measure(self.true_wrench)
         touching = float(np.linalg.norm(self.sensor.filtered[:3])) > 0.5 * CONTACT_THRESHOLD_N
         self.contact_steps = min(self.contact_steps + 1, TOOL_CONTACT_MEMORY) if touching else 0

@@ -56,7 +56,8 @@ def build(options: argparse.Namespace) -> UrServer:
     environment: Environment = FreeSpace() if options.floor is None else Floor(options.floor)
     if world is not None and board is not None:
         environment = PortEnvironment(world, board)
-    arm = Arm(Kinematics(MODELS[model]), np.array(joints), environment, Sensor(rng, 0.3, 0.01, 3.0, 0.1))
+    offsets = None if world is None else np.array(world.joint_offsets)
+    arm = Arm(Kinematics(MODELS[model]), np.array(joints), environment, Sensor(rng, 0.3, 0.01, 3.0, 0.1), offsets)
     version = tuple(int(part) for part in options.version.split("."))
     controller = Controller(
         arm, (version[0], version[1], version[2], version[3]), stop_pauses=options.protective_stop == "paused"
@@ -71,7 +72,7 @@ def build(options: argparse.Namespace) -> UrServer:
 
 def _publish(controller: Controller, board: Blackboard) -> None:
     """After each step: the flange's pose for the scanner; the cell's E-stop circuit reaches the arm."""
-    board.put_arm(controller.time_s, controller.arm.reference.links[5])
+    board.put_arm(controller.time_s, controller.arm.T_base_flange_true)
     pressed = board.estop()
     if pressed:
         controller.emergency_stop(system=True)

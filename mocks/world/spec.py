@@ -29,7 +29,9 @@ class WorldSpec:
     """Bundled port name of the vehicle's inlet."""
     T_base_port: Vector6
     T_flange_scanner: Vector6
+    """Where the scanner truly is; the site's calibration may believe otherwise."""
     T_flange_tcp: Vector6
+    """Where the plug truly is; what the controller is told as TCP may differ."""
     T_port_tcp: Vector6
     """Pose of the plug (TCP) in the port frame when it is fully mated."""
     panel: Panel = "port"
@@ -47,6 +49,8 @@ class WorldSpec:
     time_scale: float = 1.0
     """Emulated seconds per wall second (--fast)."""
     arm_model: str = "ur10e"
+    joint_offsets: Vector6 = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    """True joint angles minus those that the arm reports: its flange is not quite where it says."""
     start_joints: Vector6 = (0.0, -1.5708, 1.5708, -1.5708, -1.5708, 0.0)
 
     @staticmethod

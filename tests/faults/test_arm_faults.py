@@ -20,7 +20,6 @@ from drivers.arm.errors import (
     FrozenStateError,
     ProgramStoppedError,
     SafetyStopError,
-    StateLinkLostError,
 )
 from drivers.base import Compliance, LinkLostError, RobotMode, SafetyMode
 from tests.arm_rig import Rig, host_process, until
@@ -128,18 +127,6 @@ def test_stop_works_over_the_dashboard_without_a_worker(rig) -> None:
 # --- the network -----------------------------------------------------------------------------------------------------
 
 
-def test_a_dropped_rtde_link_is_reported_and_recovered_from(rig) -> None:
-    set_moving(rig)
-    rig.mock.do("drop", link="rtde")
-    until(lambda: not rig.arm.health().up, "the loss is reported")
-    assert rig.arm.motion().failed
-    rig.mock.until_still()
-    with pytest.raises(StateLinkLostError):
-        rig.arm.state()
-    rig.arm.recover()
-    works_again(rig)
-
-
 def test_frozen_data_is_seen_by_the_controllers_clock(rig) -> None:
     set_moving(rig)
     rig.mock.do("freeze", seconds=3.0)
@@ -179,16 +166,6 @@ def test_a_controller_that_stops_executing_blocks_no_caller_for_long(rig) -> Non
     finally:
         rig.mock.process.send_signal(signal.SIGCONT)
     rig.mock.until_still()
-
-
-def test_closed_ports_then_a_robot_that_is_back(rig) -> None:
-    set_moving(rig)
-    rig.mock.do("down", link="all")
-    until(lambda: not rig.arm.health().up, "the loss is reported")
-    rig.mock.until_still()
-    rig.mock.do("up", link="all")
-    rig.arm.recover()
-    works_again(rig)
 
 
 # --- safety ----------------------------------------------------------------------------------------------------------

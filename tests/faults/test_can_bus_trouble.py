@@ -53,7 +53,9 @@ class Rig:
         self.log = FrameLog()
         monkeypatch.setattr(can, "Bus", self._open)
         settings = CanSettings(channel="can0", interface="socketcan", reopen_first_s=0.01, reopen_max_s=0.02)
-        self.link = BusLink(settings, MonotonicClock(), self.log, lambda frame: self.received.append(frame.arbitration_id), [])
+        self.link = BusLink(
+            settings, MonotonicClock(), self.log, lambda frame: self.received.append(frame.arbitration_id), []
+        )
         self.link.open()
 
     def _open(self, **options: object) -> RiggedBus:

@@ -51,7 +51,11 @@ def _boot(kernel: str, modules: Path, scratch: Path, arguments: list[str]) -> in
                 "folder": str(PROJECT),
                 "status": str(status),
                 "command": [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", *arguments],
-                "environment": {"PORTDOCK_IN_UML": "1", "PATH": os.environ.get("PATH", ""), "HOME": os.environ.get("HOME", str(scratch))},
+                "environment": {
+                    "PORTDOCK_IN_UML": "1",
+                    "PATH": os.environ.get("PATH", ""),
+                    "HOME": os.environ.get("HOME", str(scratch)),
+                },
             }
         )
     )

@@ -305,6 +305,59 @@ def test_a_plug_that_is_out_is_left_alone(tmp_path: Path) -> None:
     assert rig.commands.given == []
 
 
+# --- the true error of a mission --------------------------------------------------------------------------------------
+
+
+def lateral_mm(rig: InsertionRig) -> float:
+    return 1000.0 * rig.board.plug().lateral_m
+
+
+def test_errors_of_calibration_and_arm_move_the_true_plug_not_the_reported_one(tmp_path: Path) -> None:
+    exact = make(tmp_path, off())
+    tool = make(tmp_path, off(), tool_error=off(1.5))
+    arm = make(tmp_path, off(), joint_offsets=np.array([0.002, 0, 0, 0, 0, 0]))
+    for rig in (exact, tool, arm):
+        assert rig.arm.state().T_base_tcp.distance_to(rig.plan.pre_contact) < 1e-6
+        rig.arm.run(DT)
+    for rig, wanted_mm in ((exact, 0.0), (tool, 1.5), (arm, 1.9)):
+        rig.arm.run(DT)
+        assert lateral_mm(rig) == pytest.approx(wanted_mm, abs=0.15)
+
+
+@pytest.mark.parametrize(
+    ("sources", "verdict"),
+    [
+        ({}, Verdict.SEATED),
+        ({"tool_error": off(1.2)}, Verdict.SEATED),
+        ({"tool_error": off(3.0)}, Verdict.STALLED),
+        ({"joint_offsets": np.array([0.0032, 0, 0, 0, 0, 0])}, Verdict.STALLED),
+        ({"tool_error": off(0.0, 0.0, 0.0, 3.6)}, Verdict.STALLED),
+    ],
+)
+def test_a_perfect_estimate_does_not_help_against_a_bad_calibration(tmp_path: Path, sources, verdict) -> None:
+    rig = make(tmp_path, off(), **sources)
+    assert run(rig).verdict is verdict
+    assert rig.board.plug().seated is (verdict is Verdict.SEATED)
+
+
+def test_localisation_and_calibration_errors_add_up(tmp_path: Path) -> None:
+    along_x = make(tmp_path, off(1.6), tool_error=off(1.6))
+    assert run(along_x).verdict is Verdict.STALLED
+    cancelling = make(tmp_path, off(1.6), tool_error=off(-1.6))
+    assert run(cancelling).verdict is Verdict.SEATED
+
+
+def test_the_wrench_is_noisy_and_biased_until_zeroed(tmp_path: Path) -> None:
+    rig = make(tmp_path, off())
+    felt = np.array([state.wrench for state in rig.arm.history(0.0)])
+    assert 0.1 < felt[:, :3].std(axis=0).max() < 1.0
+    assert np.abs(felt[:, :3].mean(axis=0)).max() > 0.5
+    rig.arm.zero_force_sensor()
+    rig.arm.run(0.4)
+    felt = np.array([state.wrench for state in rig.arm.states[-50:]])
+    assert np.abs(felt[:, :3].mean(axis=0)).max() < 0.3
+
+
 # --- per port type ----------------------------------------------------------------------------------------------------
 
 
