@@ -1,0 +1,154 @@
+"""How steadily the robot's heartbeat goes out, and how soon an emergency stop on CAN stops the arm, on a busy machine.
+
+Perception-like work runs on every processor at perception's own priority. Figures are compared with what a bare loop
+of 10 ms sleeps suffers in the same run, so that a slow machine does not fail them. Mock charger and mock arm are
+processes of their own; all times are the host's monotonic clock.
+"""
+
+from __future__ import annotations
+
+import itertools
+import logging
+import statistics
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from controller.states import State
+from controller.supervisor import Sources, Supervisor
+from drivers.arm.ur import UrArm
+from drivers.base import ChargerRequest, MonotonicClock
+from drivers.charger.contract import Contract
+from drivers.charger.messages import decode_status
+from tests.arm_rig import MockController, settings, until
+from tests.benchmarks.test_arm_timing import BareSleeps, QuietScanner, perception_like_load
+from tests.contract.charger_bench import PATIENT, QUICK, Bench, MockProcess
+
+pytestmark = [pytest.mark.benchmark_ratio, pytest.mark.timeout(1800)]
+log = logging.getLogger(__name__)
+
+PERIOD_S = 0.05
+BEATS = 1200
+JITTER_ALLOWANCE_S, STOP_ALLOWANCE_S = 0.005, 0.010
+TRIALS = 500
+STOP_LINEAR = 33
+"""Command id of stopL in ur_rtde's script."""
+HEARTBEAT, STATUS = Contract()["RC_Heartbeat"], Contract()["CH_Status"]
+
+
+class Cell:
+    """Supervisor, both drivers and both mocks."""
+
+    def __init__(self, folder: Path) -> None:
+        self.charger = MockProcess(folder, PATIENT, QUICK)
+        self.link = Bench(self.charger)
+        self.mock_arm = MockController("--rate", "500")
+        self.arm = UrArm(settings(self.mock_arm.host, frequency_hz=500.0, watchdog_hz=0.5, patience=5.0))
+        self.arm.open()
+        self.link.charger.open()
+        sources = Sources(self.arm, self.link.charger, QuietScanner())  # type: ignore[arg-type]
+        clock = MonotonicClock()
+        self.supervisor = Supervisor(sources, clock, clock, stall_s=10.0)
+        self.link.charger.alert(self.supervisor.wake)
+        self.supervisor.start()
+        until(lambda: not self.link.charger.status().motion_inhibit, "the charger hears the robot")
+        self.supervisor.enter(State.READY, None)
+
+    def close(self) -> None:
+        self.supervisor.close()
+        self.arm.close()
+        self.mock_arm.close()
+        self.link.close()
+        self.charger.stop()
+
+
+@pytest.fixture
+def cell(tmp_path: Path) -> Iterator[Cell]:
+    made = Cell(tmp_path)
+    yield made
+    made.close()
+
+
+def p99(values: list[float]) -> float:
+    return float(np.quantile(values, 0.99))
+
+
+def judge(name: str, values_s: list[float], sleeps: BareSleeps, allowance_s: float) -> None:
+    allowed_s = p99(sleeps.lateness_s) + allowance_s
+    log.info(
+        "%s: %d times, median %.2f ms, p99 %.2f ms; a 10 ms sleep is late by p99 %.2f ms; allowed %.2f ms",
+        name,
+        len(values_s),
+        1e3 * statistics.median(values_s),
+        1e3 * p99(values_s),
+        1e3 * p99(sleeps.lateness_s),
+        1e3 * allowed_s,
+    )
+    assert p99(values_s) <= allowed_s
+
+
+def test_the_heartbeat_keeps_its_period(cell: Cell) -> None:
+    frames = cell.link.log.frames
+
+    def sent() -> list[float]:
+        return [f.time_s for f in list(frames) if f.direction == "tx" and f.arbitration_id == HEARTBEAT.arbitration_id]
+
+    with perception_like_load(), BareSleeps() as sleeps:
+        until(lambda: len(sent()) > 40, "heartbeats go out")
+        frames.clear()
+        until(lambda: len(sent()) > BEATS, "a minute of heartbeats", 5.0 * BEATS * PERIOD_S)
+        times_s = sent()
+    assert cell.supervisor.trip is None
+    periods_s = [later - earlier for earlier, later in itertools.pairwise(times_s)]
+    assert statistics.mean(periods_s) == pytest.approx(PERIOD_S, rel=0.02)
+    judge("heartbeat jitter", [abs(period_s - PERIOD_S) for period_s in periods_s], sleeps, JITTER_ALLOWANCE_S)
+
+
+def test_an_emergency_stop_on_can_reaches_the_arm_at_once(cell: Cell) -> None:
+    home, latencies_s = cell.arm.state().T_base_tcp, []
+    with perception_like_load(), BareSleeps() as sleeps:
+        for number in range(TRIALS):
+            cell.arm.move_linear(home.moved([0.0, 0.0, -0.1 * (number % 2)]), 0.03, 0.5)
+            until(lambda: cell.arm.state().moving, "the arm moves")
+            cell.link.log.frames.clear()
+            cell.charger.control(estop=True)
+            until(lambda: cell.supervisor.trip is not None, "the supervisor trips")
+            received_s = _received_s(cell)
+            latencies_s.append(_stopped_s(cell, received_s) - received_s)
+            cell.charger.control(estop=False)
+            _reset(cell)
+            until(lambda: not cell.arm.state().moving, "the arm stands still")
+    judge("emergency stop received to stop command", latencies_s, sleeps, STOP_ALLOWANCE_S)
+
+
+def _received_s(cell: Cell) -> float:
+    """When the first frame with the emergency stop came in."""
+    for frame in list(cell.link.log.frames):
+        if frame.arbitration_id == STATUS.arbitration_id and decode_status(STATUS, frame.data).estop:
+            return frame.time_s
+    raise AssertionError("tripped by something else")
+
+
+def _stopped_s(cell: Cell, since_s: float) -> float:
+    """When the stop command reached the mock arm."""
+    found: list[float] = []
+
+    def seen() -> bool:
+        commands = cell.mock_arm.do("commands")["commands"]
+        found[:] = [at_s for at_s, number in commands if number == STOP_LINEAR and at_s > since_s]
+        return bool(found)
+
+    until(seen, "the stop command arrives")
+    return found[0]
+
+
+def _reset(cell: Cell) -> None:
+    """The operator's part: the charger's fault is reset, then the supervisor's."""
+    charger = cell.link.charger
+    until(lambda: not charger.status().estop, "the emergency stop is released")
+    number = charger.request(ChargerRequest.RESET_FAULT)
+    until(lambda: charger.result(number).name not in ("PENDING", "ACCEPTED", "BUSY"), "the charger's fault is reset")
+    until(lambda: not charger.status().motion_inhibit, "the charger permits motion")
+    cell.supervisor.reset()
