@@ -26,7 +26,7 @@ log = logging.getLogger(__name__)
 Value = TypeVar("Value")
 
 TICK_S = 0.01
-HEARTBEAT_EVERY = 5
+HEARTBEAT_S = 0.05
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,6 +86,7 @@ class Supervisor:
         self._request = _Request()
         self._trip: Fault | None = None
         self._backing_off = False
+        self._beat_due_s = wall_clock.now_s()
         self._ticks = 0
         self._wake = threading.Event()
         self._ended = threading.Event()
@@ -241,7 +242,7 @@ class Supervisor:
             self._latch(fault)
         elif (self._trip is None or backing_off) and seen.state not in (State.OFFLINE, State.FAULT):
             self._kick_watchdog()
-        if self._ticks % HEARTBEAT_EVERY == 0:
+        if self._heartbeat_is_due():
             self._send_heartbeat(seen)
             self._alive()
         self._ticks += 1
@@ -299,6 +300,16 @@ class Supervisor:
             self._sources.arm.kick_watchdog()
         except DriverError as error:
             self._latch(Fault(FaultCode.ARM_LINK_LOST, error.cause))
+
+    def _heartbeat_is_due(self) -> bool:
+        """Every fifth tick; by the clock, so that ticks which come late or early do not shift the period."""
+        now_s = self._wall.now_s()
+        if now_s < self._beat_due_s - 0.5 * TICK_S:
+            return False
+        self._beat_due_s += HEARTBEAT_S
+        if self._beat_due_s <= now_s:
+            self._beat_due_s = now_s + HEARTBEAT_S
+        return True
 
     def _send_heartbeat(self, seen: Snapshot) -> None:
         try:

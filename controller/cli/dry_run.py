@@ -27,7 +27,6 @@ def dry_run(
     seed: Annotated[int, typer.Option(min=0, help="Where the car stands, and all noise.")] = 0,
     scenario: Annotated[str, typer.Option(help="One of " + ", ".join(SCENARIOS) + ".")] = "nominal",
     fast: Annotated[bool, typer.Option("--fast", help=f"Wire and arm pacing {FAST_FACTOR:g} times as fast.")] = False,
-    slow: Annotated[bool, typer.Option("--slow", help="Half as fast, for a host that cannot keep up.")] = False,
     out: Annotated[
         Path | None, typer.Option(help="Folder for recording and report; must not hold a recording.")
     ] = None,
@@ -36,6 +35,10 @@ def dry_run(
     ] = None,
     can: Annotated[
         str | None, typer.Option(help="The mock charger's bus instead of a pty, as INTERFACE:CHANNEL: socketcan:vcan0.")
+    ] = None,
+    profile_rate_hz: Annotated[
+        float | None,
+        typer.Option(min=1.0, max=50.0, help="Of the mock scanner, where the host ray-casts no 50 a second."),
     ] = None,
     scanner: Annotated[str | None, typer.Option(help="A scanner with a site of its own: profiler2.")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object instead of progress.")] = False,
@@ -47,11 +50,11 @@ def dry_run(
     site = for_mocks(load_config(config, scanner), fast)
     world = draw_scenario(scenario, site, load_port(site.port.model), seed)
     folder = run_folder(out, site)
-    pace = FAST_FACTOR if fast else 1.0 / FAST_FACTOR if slow else 1.0
+    pace = FAST_FACTOR if fast else 1.0
     with make_display(quiet=as_json) as display, tempfile.TemporaryDirectory(prefix="portdock-") as wires:
         if fast:
             display.note(f"fast: wires and arm run {pace:g} times as fast; heartbeats keep wall time; one device clock")
-        with MockCell(Path(wires), site, world, seed, pace, can_bus(can)) as cell:
+        with MockCell(Path(wires), site, world, seed, pace, can_bus(can), profile_rate(profile_rate_hz)) as cell:
             summary = run_session(
                 cell.config,
                 folder,
@@ -64,6 +67,11 @@ def dry_run(
             keep_mock_logs(Path(wires), folder)
         display.finish(summary)
     finish(summary, as_json)
+
+
+def profile_rate(rate_hz: float | None) -> tuple[str, ...]:
+    """The mock scanner's option for it."""
+    return () if rate_hz is None else ("--rate-hz", f"{rate_hz:g}")
 
 
 def can_bus(text: str | None) -> tuple[str, str] | None:

@@ -64,14 +64,14 @@ def parse_kernel_link(text: str) -> KernelLink:
         values: dict[str, Any] = json.loads(text)[0]
         about = values.get("linkinfo", {})
         data = about.get("info_data", {})
-        timing = data.get("bittiming") or data.get("bittiming_bitrate") or {}
+        bitrate = data.get("bittiming", {}).get("bitrate") or data.get("bittiming_bitrate")  # the latter without timing
         return KernelLink(
             name=str(values["ifname"]),
             is_can=values.get("link_type") == "can",
             is_virtual=about.get("info_kind") in ("vcan", "vxcan"),
             up="UP" in values.get("flags", []),
             state=str(data.get("state", "")),
-            bitrate=int(timing["bitrate"]) if "bitrate" in timing else None,
+            bitrate=None if bitrate is None else int(bitrate),
             restart_ms=int(data.get("restart_ms", 0)),
             listen_only="LISTEN-ONLY" in data.get("ctrlmode", []),
         )

@@ -18,8 +18,9 @@ from collections.abc import Iterator
 
 import pytest
 
-from drivers.base import Heartbeat, MonotonicClock
+from drivers.base import Heartbeat, LinkOpenError, MonotonicClock
 from drivers.charger.can_charger import CanCharger
+from drivers.charger.car_listener import CarListener, CarSettings
 from drivers.charger.settings import CanSettings
 from mocks.charger.frames import Frames
 from mocks.charger.node import ChargerNode
@@ -30,18 +31,20 @@ TIOCSETD, SIOCGIFNAME, N_SLCAN = 0x5423, 0x8910, 17
 class KernelAdapter:
     """A tty with the kernel's slcan line discipline, and the adapter behind it."""
 
-    def __init__(self) -> None:
+    def __init__(self, set_up: str = "bitrate 250000") -> None:
         self._master, self._slave = os.openpty()
         tty.setraw(self._slave)
         fcntl.ioctl(self._slave, TIOCSETD, struct.pack("i", N_SLCAN))
         name = fcntl.ioctl(self._slave, SIOCGIFNAME, bytes(32))
         self.name = name.split(b"\x00")[0].decode()
         self.draining, self._closing = True, False
+        self.most_bytes = 65536
+        """What the bus behind the adapter takes at a time."""
         self._frames, self._node = Frames(None, "e2e-p11"), ChargerNode()
         os.set_blocking(self._master, False)
         self._thread = threading.Thread(target=self._serve, daemon=True)
         self._thread.start()
-        self._ip(f"link set {self.name} type can bitrate 250000")
+        self._ip(f"link set {self.name} type can {set_up}")
         self._ip(f"link set {self.name} up")
 
     @staticmethod
@@ -56,7 +59,7 @@ class KernelAdapter:
         while not self._closing:
             if self.draining:
                 with contextlib.suppress(OSError):
-                    os.read(self._master, 65536)
+                    os.read(self._master, self.most_bytes)
             if time.monotonic() >= due_s:
                 due_s = time.monotonic() + 0.05
                 frame = self._frames.encode("CH_Status", self._node.status())
@@ -98,12 +101,65 @@ def _until(charger: CanCharger, words: str, beat: bool = False) -> None:
         time.sleep(0.02)
 
 
+def _until_well(charger: CanCharger) -> None:
+    end_s = time.monotonic() + 30.0
+    while charger.health().detail:
+        assert time.monotonic() < end_s, charger.health()
+        charger.heartbeat(Heartbeat(2, 3, 1, 1))
+        time.sleep(0.02)
+
+
 def test_error_warning_and_error_passive_are_named(adapter: KernelAdapter, charger: CanCharger) -> None:
     adapter.report(b"sw096000\r")
     _until(charger, "error-warning")
     adapter.report(b"sp000130\r")
     _until(charger, "error-passive")
     assert dict(charger.health().counters)["error_controller_problem"] >= 2
+
+
+def test_an_error_passive_controller_that_recovers_is_well_again(adapter: KernelAdapter, charger: CanCharger) -> None:
+    adapter.report(b"sp000130\r")
+    _until(charger, "error-passive")
+    adapter.report(b"sa000000\r")
+    _until_well(charger)
+    assert "reopened" not in dict(charger.health().counters)
+
+
+def test_after_bus_off_an_adapter_that_is_attached_again_is_heard_again(
+    adapter: KernelAdapter, charger: CanCharger
+) -> None:
+    adapter.report(b"sb000256\r")
+    _until(charger, "bus-off")
+    adapter.close()
+    adapter.__init__()  # type: ignore[misc]  # the kernel's slcan driver cannot restart after bus-off
+    _until_well(charger)
+    assert dict(charger.health().counters)["reopened"] >= 1
+
+
+def test_a_full_bus_is_named_and_costs_nothing_once_it_is_free(adapter: KernelAdapter, charger: CanCharger) -> None:
+    adapter.most_bytes = 2  # others win every arbitration: a fraction of our frames gets out
+    _until(charger, "the bus is full", beat=True)
+    adapter.most_bytes = 65536
+    _until_well(charger)
+    counters = dict(charger.health().counters)
+    assert counters["tx_dropped"] > 0
+    assert "reopened" not in counters
+
+
+def test_an_interface_at_another_bit_rate_is_refused_before_it_disturbs_the_bus() -> None:
+    adapter = KernelAdapter("bitrate 500000")
+    try:
+        charger = CanCharger(CanSettings(interface="socketcan", channel=adapter.name), MonotonicClock())
+        with pytest.raises(LinkOpenError, match="runs at 500000 bit/s, the configuration says 250000"):
+            charger.open()
+    finally:
+        adapter.close()
+
+
+def test_a_controller_that_is_not_listen_only_is_refused_for_the_vehicles_protocol(adapter: KernelAdapter) -> None:
+    listener = CarListener(CarSettings("gbt27930", adapter.name, accept_virtual=True), MonotonicClock())
+    with pytest.raises(LinkOpenError, match="not listen-only"):
+        listener.open()
 
 
 def test_bus_off_is_named(adapter: KernelAdapter, charger: CanCharger) -> None:
@@ -116,11 +172,7 @@ def test_a_bus_that_takes_no_frames_is_told_from_a_full_moment(adapter: KernelAd
     adapter.draining = False
     _until(charger, "nobody acknowledges", beat=True)
     adapter.draining = True
-    end_s = time.monotonic() + 30.0
-    while charger.health().detail:
-        assert time.monotonic() < end_s, charger.health()
-        charger.heartbeat(Heartbeat(2, 3, 1, 1))
-        time.sleep(0.02)
+    _until_well(charger)
 
 
 def test_bus_errors_are_counted(adapter: KernelAdapter, charger: CanCharger) -> None:

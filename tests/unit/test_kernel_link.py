@@ -47,6 +47,12 @@ def test_a_controller_that_only_listens() -> None:
     check_bit_rate(link, 250_000)
 
 
+def test_a_controller_whose_timing_the_kernel_does_not_know_has_a_bit_rate_all_the_same() -> None:
+    """As iproute2 6.1 prints the kernel's slcan driver."""
+    text = _answer(data={"bittiming": {}, "bittiming_bitrate": 500_000, "ctrlmode": []})
+    assert parse_kernel_link(text).bitrate == 500_000
+
+
 @pytest.mark.parametrize("modes", [[], ["LOOPBACK"], ["BERR-REPORTING", "FD"]])
 def test_a_controller_that_may_acknowledge_is_refused(modes: list[str]) -> None:
     link = parse_kernel_link(_answer(data={"ctrlmode": modes}))
