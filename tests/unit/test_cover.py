@@ -1,0 +1,100 @@
+"""The open charging cover: found where it is, as a box that holds it; nothing found where none is."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from controller.obstacles import boxes_beside
+from controller.port_files import load_port
+from perception.cover import find_cover
+from perception.estimate import PortEstimate
+from perception.geometry import Array, Pose
+from perception.scan import Cloud
+
+
+def estimate(pose: Pose, *, accepted: bool = True, ref: str = "scanner") -> PortEstimate:
+    return PortEstimate("ccs2", pose, ref, np.eye(6) * 1e-8, 1e-4, 0.9, 0.5, accepted, (), ())  # type: ignore[arg-type]
+
+
+def sheet(x: tuple[float, float], y: tuple[float, float], step: float = 0.001) -> Array:
+    """(N, 2) grid."""
+    return np.stack(np.meshgrid(np.arange(*x, step), np.arange(*y, step)), axis=-1).reshape(-1, 2)
+
+
+def vehicle(opening_deg: float, hinge_x: float = -0.08, flap_m: float = 0.05, panel_m: float = 0.02) -> Array:
+    """(N, 3) port frame: a panel with a pocket, and a flap hinged on its left, opened by an angle."""
+    panel = sheet((-0.14, 0.14), (-0.14, 0.14))
+    panel = panel[(np.abs(panel) > 0.075).any(axis=1)]
+    flap = sheet((0.0, flap_m), (-0.07, 0.07))
+    turn = np.deg2rad(opening_deg)
+    # closed, the flap leads from its hinge over the pocket (+x); opened, it turns out of the vehicle
+    x, z = hinge_x + flap[:, 0] * np.cos(turn), panel_m + flap[:, 0] * np.sin(turn)
+    points = np.vstack([np.column_stack([panel, np.full(len(panel), panel_m)]), np.column_stack([x, flap[:, 1], z])])
+    noisy: Array = points + np.random.default_rng(1).normal(0.0, 1e-4, points.shape)
+    return noisy
+
+
+@pytest.mark.parametrize("opening_deg", [95.0, 120.0, 150.0])
+def test_side_and_angle_of_an_open_cover(opening_deg: float) -> None:
+    found = find_cover(Cloud(vehicle(opening_deg)), estimate(Pose.identity()))
+    assert found is not None
+    assert found.side == "left"
+    assert np.rad2deg(found.opening_rad) == pytest.approx(opening_deg, abs=2.0)
+
+
+def test_the_box_holds_the_flap_and_reaches_beyond_what_is_seen() -> None:
+    points = vehicle(120.0)
+    found = find_cover(Cloud(points), estimate(Pose.identity()))
+    assert found is not None
+    flap = points[points[:, 2] > 0.03]
+    inside = np.abs(found.T_ref_box.inverse().apply(flap)) < np.asarray(found.half_size_m)
+    assert inside.all(axis=1).mean() > 0.98
+    assert 2 * found.half_size_m[1] > 0.16
+    assert found.corners.shape == (8, 3)
+
+
+def test_the_cover_is_told_in_the_estimates_frame() -> None:
+    T_ref_port = Pose.from_rotvec([2.0, 1.0, 0.5], [0.3, -0.2, 0.7])
+    plain = find_cover(Cloud(vehicle(120.0)), estimate(Pose.identity()))
+    moved = find_cover(Cloud(T_ref_port.apply(vehicle(120.0))), estimate(T_ref_port))
+    assert plain is not None and moved is not None
+    assert moved.T_ref_box.distance_to(T_ref_port @ plain.T_ref_box) < 1e-3
+
+
+@pytest.mark.parametrize("turns", [0, 1, 2, 3])
+def test_each_side_has_its_name(turns: int) -> None:
+    turn = Pose.from_rotvec([0.0, 0.0, turns * np.pi / 2])
+    found = find_cover(Cloud(turn.apply(vehicle(110.0))), estimate(Pose.identity()))
+    assert found is not None
+    assert found.side == ("left", "bottom", "right", "top")[turns]
+
+
+def test_a_panel_alone_has_no_cover() -> None:
+    points = vehicle(120.0)
+    assert find_cover(Cloud(points[points[:, 2] < 0.025]), estimate(Pose.identity())) is None
+    assert find_cover(Cloud(points[:10]), estimate(Pose.identity())) is None
+
+
+def test_a_flap_across_the_inlet_is_no_open_cover() -> None:
+    assert find_cover(Cloud(vehicle(120.0, hinge_x=0.0)), estimate(Pose.identity())) is None
+
+
+def test_planning_is_given_a_box_in_the_base_frame_of_accepted_estimates_only() -> None:
+    cloud = Cloud(vehicle(120.0), "base")
+    (box,) = boxes_beside(cloud, estimate(Pose.identity(), ref="base"))
+    assert "left" in box.name
+    assert box.half_size[1] > 0.08
+    assert boxes_beside(cloud, estimate(Pose.identity(), accepted=False, ref="base")) == ()
+    with pytest.raises(ValueError, match="base frame"):
+        boxes_beside(replace(cloud, frame="scanner"), estimate(Pose.identity()))
+
+
+def test_a_simulated_scan_with_a_cover_on_the_left() -> None:
+    from perception.evaluation.scenes import simulate_scan
+
+    scan = simulate_scan(load_port("nacs").shape, "nominal", np.random.default_rng([78, 0]))
+    assert scan.cover_corners is not None
+    found = find_cover(scan.cloud, estimate(scan.T_scanner_port))
+    assert found is not None
+    assert found.side == "left"
