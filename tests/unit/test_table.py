@@ -99,9 +99,9 @@ def test_every_fault_has_a_remedy_in_words_and_latches(code: FaultCode) -> None:
 
 # --- the gate over the table ------------------------------------------------------------------------------------------
 
-states = st.sampled_from(State)
 depths = st.floats(-0.3, 0.04)
-offsets = st.floats(-0.3, 0.3)
+offsets = st.sampled_from([0.0, 0.0019, -0.0019, 0.0021, -0.0021, 0.005, 0.3])
+"""Dense about the capture radius of 2 mm: a bound is tested at the bound."""
 chargers = st.builds(
     lambda prox, lock, closed, amps, fresh: replace(
         CHARGER,
@@ -112,10 +112,10 @@ chargers = st.builds(
         electrical_time_s=0.0 if fresh else -np.inf,
     ),
     st.sampled_from(Proximity),
-    st.sampled_from(PlugLock),
-    st.booleans(),
-    st.floats(-50, 400),
-    st.booleans(),
+    st.just(PlugLock.UNLOCKED) | st.sampled_from(PlugLock),
+    st.just(False) | st.booleans(),
+    st.sampled_from([0.0, 0.9, 1.0, -1.0, 32.0]),
+    st.just(True) | st.booleans(),
 )
 
 
@@ -152,10 +152,10 @@ def sideways_m(command: object, now: Situation) -> float:
     raise AssertionError(command)
 
 
-@given(states, motions(), depths, chargers)
+@given(st.sampled_from(sorted(MOVING_STATES)), motions(), depths, chargers)
 def test_no_motion_while_inserted_leads_beyond_the_capture_radius(state, motion, depth, charger) -> None:  # type: ignore[no-untyped-def]
     now = Situation(state, arm_at(tcp_at(depth)), charger, PORT, mated=True)
-    inserted = charger.proximity is not Proximity.ABSENT or (state in IN_CONTACT and depth > 0.0)
+    inserted = charger.proximity is not Proximity.ABSENT or (state in IN_CONTACT and depth > 1e-6)
     if check(motion, now, LIMITS) is None and inserted:
         assert not isinstance(motion, MoveJoints)
         assert sideways_m(motion, now) <= LIMITS.capture_radius_m + 1e-12
@@ -164,7 +164,7 @@ def test_no_motion_while_inserted_leads_beyond_the_capture_radius(state, motion,
 @given(motions(), depths, chargers)
 def test_no_inserted_plug_is_pulled_while_locked_or_live(motion, depth, charger) -> None:  # type: ignore[no-untyped-def]
     now = Situation(State.RETREATING, arm_at(tcp_at(depth)), charger, PORT, mated=True)
-    if check(motion, now, LIMITS) is None and (depth > 0.0 or charger.proximity is not Proximity.ABSENT):
+    if check(motion, now, LIMITS) is None and (depth > 1e-6 or charger.proximity is not Proximity.ABSENT):
         assert charger.lock is PlugLock.UNLOCKED
         assert not charger.contactor_closed and abs(charger.current_a) < 1.0
         assert np.isfinite(charger.electrical_time_s)
