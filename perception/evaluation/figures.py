@@ -30,6 +30,8 @@ _COLOURS = {
     "o3d-ransac-icp": "#000000",
     "o3d-fgr-icp": "#e69f00",
 }
+_GAP = Estimate(float("nan"), float("nan"), float("nan"), 0)
+"""Where a method was not run its line is broken, not drawn across."""
 
 
 def write_figures(cells: Cells, folder: Path) -> list[Path]:
@@ -102,7 +104,7 @@ def _over_rounds(cells: Cells, statistic: Callable[[Cell, int], Estimate], label
     axes[0, 0].set_ylabel(label)
     if log:
         axes[0, 0].set_yscale("log")
-    _finish(figure, axes, f"complete scans, start 20°/15 mm, {_trials(cells)}")
+    _finish(figure, axes, f"complete scans, start 20°/15 mm, {_trials(cells, COMPLETE.name)}")
     return figure
 
 
@@ -110,19 +112,21 @@ def _over_integrity(cells: Cells) -> Figure:
     """Figure 6: loss and success over the integrity of the scan, after five registrations at most."""
     figure, axes = _panels(rows=2, height=6.4)
     quantities = (("median loss (mm²)", Cell.loss_median), ("within 2° and 2 mm", Cell.success))
+    run = {cell.condition for cell in cells.cells}
+    cuts = [(100 * p, integrity_condition(p).name) for p in INTEGRITIES if integrity_condition(p).name in run]
     for row, (label, statistic) in zip(axes, quantities, strict=True):
         for one, (_, names) in zip(row, _PANELS, strict=True):
             for name in names:
-                cut = [(p, cells.get(integrity_condition(p).name, name)) for p in INTEGRITIES]
-                found = [(100 * p, statistic(cell, 5)) for p, cell in cut if cell is not None]
-                if found:
-                    _line(one, [p for p, _ in found], [estimate for _, estimate in found], name)
+                found = [cells.get(condition, name) for _, condition in cuts]
+                if any(found):
+                    _line(one, [p for p, _ in cuts], [_GAP if c is None else statistic(c, 5) for c in found], name)
         row[0].set_ylabel(label)
     for one in axes[1]:
         one.set_xlabel("integrity (%)")
     axes[0, 0].invert_xaxis()
     axes[0, 0].set_yscale("log")
-    _finish(figure, axes, f"one side cut off, after 5 registrations, {_trials(cells)}")
+    trials = _trials(cells, *(condition for _, condition in cuts))
+    _finish(figure, axes, f"one side cut off, after 5 registrations, {trials}")
     return figure
 
 
@@ -138,7 +142,7 @@ def _entries(cells: Cells) -> Figure:
         row[0].set_ylabel(title)
         row[0].set_yscale("log")
         row[0].set_xticks(np.arange(3), ["MSE (19)", "RMSE (20)", "MAE (21)"])
-    _finish(figure, axes, f"complete scans, start 20°/15 mm, {_trials(cells)}")
+    _finish(figure, axes, f"complete scans, start 20°/15 mm, {_trials(cells, COMPLETE.name)}")
     return figure
 
 
@@ -166,6 +170,6 @@ def _iou(cells: Cells) -> Figure:
     return figure
 
 
-def _trials(cells: Cells) -> str:
-    counts = {len(cell.trials) for cell in cells.cells}
+def _trials(cells: Cells, *conditions: str) -> str:
+    counts = {len(cell.trials) for cell in cells.cells if cell.condition in conditions} or {0}
     return f"{min(counts)} trials" if len(counts) == 1 else f"{min(counts)} to {max(counts)} trials"
