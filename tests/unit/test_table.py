@@ -191,3 +191,14 @@ def test_a_charging_controller_moves_nothing(motion, depth, charger) -> None:  #
 
 def test_a_plug_counts_as_out_only_in_front_of_the_rim_plane() -> None:
     assert CLEAR_M > 0.0
+
+
+@pytest.mark.parametrize("depth", [0.001, 0.02, 0.035])
+@pytest.mark.parametrize(("aside_mm", "allowed"), [(0.0, True), (1.99, True), (2.01, False), (20.0, False)])
+def test_the_capture_radius_is_the_bound(depth: float, aside_mm: float, allowed: bool) -> None:
+    aside = aside_mm / 1000.0
+    pulled = Situation(State.RETREATING, arm_at(tcp_at(depth)), CHARGER, PORT)
+    pushed = replace(pulled, state=State.INSERTING)
+    assert (check(MoveLinear(tcp_at(-0.05, aside), 0.02, 0.3), pulled, LIMITS) is None) == allowed
+    if aside < LIMITS.insertion_speed_m_s:
+        assert (check(MoveVelocity(np.array([aside, 0, 0, 0, 0, 0.0]), 0.2), pushed, LIMITS) is None) == allowed
