@@ -1,7 +1,7 @@
 """The recordings that ship with portdock: one file a scene, and beside it what locating in it must give.
 
-``NAME.npz`` is a recorded sweep (``recorded.py``), thinned; ``NAME.json`` says which model to locate with, the prior (so
-it can be handed to ``portdock locate --prior``), whether the scan must be accepted, and how far off it may then be. The
+``NAME.npz`` is a recorded sweep (``recorded.py``), thinned; ``NAME.json`` says which model to locate with, the prior
+(to be handed to ``portdock locate --prior``), whether the scan must be accepted, and how far off it may then be. The
 sweeps are simulated: no recording of a real vehicle is among them.
 """
 

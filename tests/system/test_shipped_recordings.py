@@ -1,4 +1,4 @@
-"""The recordings that ship with portdock, through ``portdock locate``: accepted or refused as is written beside them."""
+"""The recordings that ship with portdock, through ``portdock locate``: accepted or refused as written beside them."""
 
 from __future__ import annotations
 
