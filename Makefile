@@ -29,6 +29,18 @@ test-socketcan: $(STAMP)  ## the charger's link on a real kernel's CAN, in user-
 setup-socketcan:  ## what test-socketcan needs, from Debian
 	$(if $(filter 0,$(shell id -u)),,sudo) apt-get install --yes user-mode-linux can-utils
 
+PREFIX ?= /opt/portdock
+
+install:  ## everything under PREFIX, nothing elsewhere; says what is left to do
+	$(PYTHON) -m venv $(PREFIX)
+	$(PREFIX)/bin/pip install --quiet $(PIP_OPTIONS) ".[fast]"
+	install -d $(PREFIX)/lib/systemd/system $(PREFIX)/lib/udev/rules.d $(PREFIX)/lib/systemd/network $(PREFIX)/share/doc
+	sed 's#/opt/portdock#$(PREFIX)#g' docs/deploy/portdock.service > $(PREFIX)/lib/systemd/system/portdock.service
+	install -m 644 docs/deploy/60-portdock.rules $(PREFIX)/lib/udev/rules.d/
+	install -m 644 docs/deploy/80-portdock-can.network $(PREFIX)/lib/systemd/network/
+	install -m 644 docs/*.md $(PREFIX)/share/doc/
+	@echo "installed; next: $(PREFIX)/share/doc/commissioning.md"
+
 $(STAMP): pyproject.toml
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/pip install --quiet --upgrade pip
