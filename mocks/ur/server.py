@@ -104,6 +104,7 @@ class UrServer:
                 stepped = True
                 if self._time_scale <= 1.0:
                     self._send_states()
+                    self._poll(0.0)  # also while catching up, what clients send is read at once
         if stepped and self._time_scale > 1.0:
             self._send_states()
 

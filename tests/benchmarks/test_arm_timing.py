@@ -11,6 +11,7 @@ import bisect
 import itertools
 import logging
 import os
+import signal
 import statistics
 import subprocess
 import sys
@@ -48,6 +49,10 @@ STOP_LINEAR = 33
 STOPS = 100
 KICK_S = 20.0
 RECEPTION_S = 60.0
+LOSSES = 10
+LOSS_S = 0.1
+PATIENT = {"watchdog_hz": 0.5, "patience": 5.0, "freshness_s": 10.0}
+"""What is measured here must not end in a fault of the limits that it is about."""
 HZ = 500
 
 _LOAD = """
@@ -140,7 +145,7 @@ class Bench:
 
     def __init__(self) -> None:
         self.mock = MockController("--rate", str(HZ))
-        self.arm = TimedArm(settings(self.mock.host, frequency_hz=float(HZ), watchdog_hz=0.5, patience=5.0))
+        self.arm = TimedArm(settings(self.mock.host, frequency_hz=float(HZ), **PATIENT))
         self.arm.ticks = []
         self.arm.open()
         sources = Sources(self.arm, QuietCharger(), QuietScanner())  # type: ignore[arg-type]
@@ -224,6 +229,27 @@ def first_stop(bench: Bench, since_s: float) -> float:
 
     until(seen, "the stop command arrives")
     return found[0]
+
+
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSEGV, signal.SIGSTOP])
+def test_a_lost_worker_is_reported_within_a_tenth_of_a_second(number: signal.Signals) -> None:
+    mock, times = MockController(), []
+    arm = UrArm(settings(mock.host))
+    try:
+        arm.open()
+        with BareSleeps() as sleeps:
+            for _ in range(LOSSES):
+                os.kill(arm._links.worker.pid, number)
+                begun = time.monotonic()
+                while arm._links.worker.lost is None:
+                    time.sleep(0.001)
+                times.append(time.monotonic() - begun)
+                arm.recover()
+    finally:
+        arm.close()
+        mock.close()
+    log.info("worker lost by %s, reported after %s ms", number.name, ", ".join(f"{1e3 * t:.0f}" for t in sorted(times)))
+    assert max(times) < LOSS_S + max(sleeps.lateness_s)
 
 
 def test_a_minute_of_state_at_full_rate_arrives(bench: Bench) -> None:
