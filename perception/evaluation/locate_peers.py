@@ -117,21 +117,21 @@ def _kiss() -> Finder:
     import kiss_matcher
 
     def find(problem: PeerProblem) -> Pose:
-        source, target = (_mm(cloud) for cloud in (problem.coarse_samples, problem.coarse_scan))
+        source, target = (_cm(cloud) for cloud in (problem.coarse_samples, problem.coarse_scan))
         poses = []
-        for voxel_mm in (2.0, 3.0):
-            matcher = kiss_matcher.KISSMatcher(kiss_matcher.KISSMatcherConfig(voxel_mm))
+        for voxel_cm in (0.2, 0.3):  # its noise bounds are clamped to 1: with centimetres they stay below
+            matcher = kiss_matcher.KISSMatcher(kiss_matcher.KISSMatcherConfig(voxel_cm))
             found = matcher.estimate(source, target)
             matrix = np.eye(4)
-            matrix[:3, :3], matrix[:3, 3] = found.rotation, np.asarray(found.translation).reshape(3) / 1e3
+            matrix[:3, :3], matrix[:3, 3] = found.rotation, np.asarray(found.translation).reshape(3) / 1e2
             poses.append(_gicp(problem, rigid(matrix)))
         return best(problem, poses)
 
     return find
 
 
-def _mm(cloud: Any) -> list[Array]:
-    return [row.astype(np.float32) for row in np.asarray(cloud.points) * 1e3]
+def _cm(cloud: Any) -> list[Array]:
+    return [row.astype(np.float32) for row in np.asarray(cloud.points) * 1e2]
 
 
 def _gicp(problem: PeerProblem, pose: Pose) -> Pose:

@@ -92,7 +92,7 @@ def _missing(plan: LocatePlan, known: list[CaseRecord]) -> list[_Task]:
         solvers = tuple(name for name in plan.solvers_for(case) if (case.name, name) not in have)
         if solvers:
             tasks.append(_Task(case, solvers, entries.get(case.name)))
-    return tasks
+    return sorted(tasks, key=lambda task: task.case.number)  # a run that is stopped early has some of every kind
 
 
 def _chosen(plan: LocatePlan, found: list[CaseRecord]) -> list[CaseRecord]:
