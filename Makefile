@@ -26,8 +26,12 @@ bench: $(STAMP)  ## ratios measured in one run, on a quiet machine
 test-socketcan: $(STAMP)  ## the charger's link on a real kernel's CAN, in user-mode Linux; says so when that is missing
 	$(BIN)/python tests/socketcan/run_in_uml.py
 
+SOCKETCAN_PACKAGES := user-mode-linux can-utils iproute2
+APT := $(if $(filter 0,$(shell id -u)),,sudo) apt-get -o Acquire::Retries=0 -o Acquire::http::Timeout=20
+
 setup-socketcan:  ## what test-socketcan needs, from Debian
-	$(if $(filter 0,$(shell id -u)),,sudo) apt-get install --yes user-mode-linux can-utils
+	$(APT) install --yes --no-install-recommends $(SOCKETCAN_PACKAGES) || \
+	{ $(APT) update && $(APT) install --yes --no-install-recommends $(SOCKETCAN_PACKAGES); }
 
 PREFIX ?= /opt/portdock
 

@@ -104,6 +104,8 @@ class MockCell:
         site, (interface, channel) = self._base.charger, self._can
         where = ["--link", channel] if interface == "slcan" else ["--interface", interface, "--channel", channel]
         contract = ["--protection", site.protection, "--bitrate", str(site.bitrate_bps)]
+        for name, address in (("robot", site.robot_address), ("charger", site.charger_address)):
+            contract += [] if address is None else [f"--{name}-address", str(address)]
         contract += [] if site.dbc is None else ["--dbc", str(Path(site.dbc).resolve())]
         return [*where, *contract, "--lost-ms", f"{site.lost_ms:g}"]
 

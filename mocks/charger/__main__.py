@@ -45,7 +45,7 @@ def main(arguments: list[str] | None = None) -> int:
     stop = _Stop()
     with contextlib.ExitStack() as stack:
         try:
-            frames = Frames(options.dbc, options.protection)
+            frames = Frames(options.dbc, options.protection, options.robot_address, options.charger_address)
             world: Surroundings = Shared(options.world) if options.world else Alone(options.time_scale)
         except Exception as error:  # cantools lets its parser's own exceptions through
             return _complain(2, error)
@@ -93,6 +93,8 @@ def _options(arguments: list[str] | None) -> argparse.Namespace:
     parser.add_argument("--fd", action="store_true", help="CAN FD, where the interface has it")
     parser.add_argument("--dbc", type=Path, default=None)
     parser.add_argument("--protection", default="e2e-p11", choices=["none", "counter", "j1850", "e2e-p11", "e2e-p5"])
+    parser.add_argument("--robot-address", type=int, default=None, help="replaces the DBC's source address")
+    parser.add_argument("--charger-address", type=int, default=None, help="replaces the DBC's source address")
     parser.add_argument("--world", type=Path, default=None, help="folder of the mocks' shared blackboard")
     parser.add_argument(
         "--time-scale", type=float, default=1.0, help="emulated seconds for each second, without a world"

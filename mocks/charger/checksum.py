@@ -20,20 +20,24 @@ def remainder(data: bytes, polynomial: int, width: int, start: int) -> int:
     return register
 
 
-def protect(frame: bytearray, scheme: str, data_id: int) -> None:
-    """Put the checksum into the first byte or two of the frame."""
-    identity = bytes((data_id & 0xFF, data_id >> 8))
+SIZES = {"e2e-p11": 1, "j1850": 1, "e2e-p5": 2}
+
+
+def protect(frame: bytearray, scheme: str, data_id: int, at: int = 0) -> None:
+    """Put the checksum into the frame, from byte ``at`` on."""
+    size = SIZES.get(scheme, 0)
+    identity, rest = bytes((data_id & 0xFF, data_id >> 8)), bytes(frame[:at] + frame[at + size :])
     if scheme == "e2e-p11":
-        frame[0] = remainder(identity + bytes(frame[1:]), 0x1D, 8, 0x00)
+        frame[at] = remainder(identity + rest, 0x1D, 8, 0x00)
     elif scheme == "j1850":
-        frame[0] = remainder(identity + bytes(frame[1:]), 0x1D, 8, 0xFF) ^ 0xFF
+        frame[at] = remainder(identity + rest, 0x1D, 8, 0xFF) ^ 0xFF
     elif scheme == "e2e-p5":
-        value = remainder(bytes(frame[2:]) + identity, 0x1021, 16, 0xFFFF)
-        frame[0], frame[1] = value & 0xFF, value >> 8
+        value = remainder(rest + identity, 0x1021, 16, 0xFFFF)
+        frame[at], frame[at + 1] = value & 0xFF, value >> 8
 
 
-def fits(frame: bytes, scheme: str, data_id: int) -> bool:
+def fits(frame: bytes, scheme: str, data_id: int, at: int = 0) -> bool:
     """Whether the frame's checksum is its own."""
     again = bytearray(frame)
-    protect(again, scheme, data_id)
+    protect(again, scheme, data_id, at)
     return bytes(again) == bytes(frame)

@@ -5,6 +5,7 @@ stuck_counter     counters stand still                 frozen       repeats its 
 deaf              hears no robot                       mute         never acknowledges
 estop             emergency stop pressed               plugged      the plug sits in the port (only without a world)
 lock_jammed       the lock stops halfway               contactor_welded
+release_pressed   the release button of the latch      precharge_fails  the voltage does not rise
 reject            name of the request to refuse once   paused       current held at zero
 temperature_c     the contact is this hot              ventilation  pilot state D instead of C
 garbage           so many random bytes to the host     unplug_adapter  true: the tty vanishes, false: it is back
@@ -33,6 +34,7 @@ class Lines:
 
 LEVERS = (
     *("estop", "plugged", "lock_jammed", "contactor_welded", "reject", "paused", "temperature_c", "ventilation"),
+    *("release_pressed", "precharge_fails"),
     *("garbage", "unplug_adapter", "reboot"),
 )
 

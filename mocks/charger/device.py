@@ -124,6 +124,10 @@ class MockCharger:
                 node.process.paused = bool(value)
             case "temperature_c":
                 node.power.temperature_c = float(value)
+            case "release_pressed":
+                node.process.release_pressed = bool(value)
+            case "precharge_fails":
+                node.power.precharge_fails = bool(value)
             case "ventilation":
                 node.process.ventilation = bool(value)
             case "reboot":

@@ -28,16 +28,26 @@ class BusFrame:
 class Frames:
     """The contract as the charger holds it: names to frames and back."""
 
-    def __init__(self, dbc: Path | None, scheme: str) -> None:
+    def __init__(
+        self, dbc: Path | None, scheme: str, robot_address: int | None = None, charger_address: int | None = None
+    ) -> None:
+        """The addresses replace the lowest byte of the identifiers; None keeps the DBC's."""
         bundled = "portdock_fd.dbc" if scheme == "e2e-p5" else "portdock.dbc"
         path = dbc or Path(str(importlib.resources.files("config") / "dbc" / bundled))
         self._path, self._scheme = path, scheme
-        self._database: Any = cantools.database.load_file(path)
+        database: Any = cantools.database.load_file(path)
+        self._database = database
         self._counters: dict[str, int] = {}
+        self._addresses = robot_address, charger_address
+        self._messages = {self._identifier(message): message for message in database.messages}
+
+    def _identifier(self, message: Any) -> int:
+        address = self._addresses[message.name.startswith("CH_")]
+        return int(message.frame_id if address is None else message.frame_id & ~0xFF | address)
 
     def twin(self) -> Frames:
         """The same messages with counters of their own."""
-        return Frames(self._path, self._scheme)
+        return Frames(self._path, self._scheme, *self._addresses)
 
     @property
     def modulus(self) -> int:
@@ -61,23 +71,27 @@ class Frames:
         self._counters[name] = counter
         header = {s.name: 0 for s in message.signals if s.name in ("CRC8", "CRC16")} | {"Counter": counter}
         data = bytearray(message.encode(values | header))
-        protect(data, self._scheme, self._data_id(message))
+        protect(data, self._scheme, self._data_id(message), self._checksum_at(message))
         if damaged:
             data[0] ^= 0x5A
-        return BusFrame(message.frame_id, bytes(data), message.is_extended_frame, fd=message.is_fd)
+        return BusFrame(self._identifier(message), bytes(data), message.is_extended_frame, fd=message.is_fd)
 
     def decode(self, frame: BusFrame) -> tuple[str, dict[str, Any]] | None:
         """Name and values of a robot's frame; None for a foreign, damaged or ill-fitting one."""
-        try:
-            message = self._database.get_message_by_frame_id(frame.identifier)
-        except KeyError:
+        message = self._messages.get(frame.identifier)
+        if message is None or frame.extended != message.is_extended_frame:
             return None
         if frame.remote or len(frame.data) != message.length or message.name.startswith("CH_"):
             return None
-        if not fits(frame.data, self._scheme, self._data_id(message)):
+        if not fits(frame.data, self._scheme, self._data_id(message), self._checksum_at(message)):
             return None
-        return message.name, message.decode(frame.data, decode_choices=False)
+        values: dict[str, Any] = message.decode(frame.data, decode_choices=False)
+        return str(message.name), values
 
     @staticmethod
     def _data_id(message: Any) -> int:
         return int(message.dbc.attributes["E2EDataID"].value)
+
+    @staticmethod
+    def _checksum_at(message: Any) -> int:
+        return next((int(s.start) // 8 for s in message.signals if s.name in ("CRC8", "CRC16")), 0)

@@ -247,6 +247,8 @@ class ChargerNode:
     def _proximity(self) -> str:
         if not self.process.plugged:
             return "Absent"
+        if self.process.release_pressed:
+            return "ReleasePressed"
         return "Latched" if self.lock.state == plug_lock.LOCKED else "Inserted"
 
     def _pilot(self) -> str:

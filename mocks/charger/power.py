@@ -17,6 +17,7 @@ class PowerSettings:
     ramp_down_a_s: float = 200.0
     precharge_v_s: float = 400.0
     handshake_s: float = 0.5
+    longest_precharge_s: float = 5.0
     ambient_c: float = 22.0
     heating_c_a2: float = 0.0014
     """Final rise of the contact's temperature for each ampere squared."""
@@ -31,6 +32,7 @@ class PowerStage:
         self.settings = settings
         self.contactor_closed = False
         self.welded = False
+        self.precharge_fails = False
         self.voltage_v = 0.0
         self.current_a = 0.0
         self.limit_a = settings.max_current_a
@@ -60,6 +62,7 @@ class PowerStage:
             self.current_a = _towards(self.current_a, wanted_a, rate * dt_s)
         else:
             self.current_a = 0.0
+            wanted_v = 0.0 if self.precharge_fails else wanted_v
             self.voltage_v = _towards(self.voltage_v, wanted_v, s.precharge_v_s * dt_s)
         warm_c = s.ambient_c + s.heating_c_a2 * self.current_a**2
         self.temperature_c += (warm_c - self.temperature_c) * min(1.0, dt_s / s.heating_time_s)

@@ -39,6 +39,7 @@ class ChargerProcess:
         self.fault = "None"
         self.paused = False
         self.ventilation = False
+        self.release_pressed = False
         self.plugged = False
         self.estop = False
         self.robot = RobotView(alive=False, lost=False)
@@ -78,6 +79,8 @@ class ChargerProcess:
             cut = False
         if self.power.temperature_c > self.settings.power.hot_c and self.state in ("Charging", "Paused"):
             self.wind_down("OverTemperature")
+        if self.release_pressed and self.live:
+            self.wind_down()
         if self.robot.lost and self.state not in ("Init", "Idle"):
             self.robot_loss_latched = True
             if self.live and (self.robot.holds_plug or not self.robot.clear):
@@ -93,6 +96,8 @@ class ChargerProcess:
             case "PreCharge" if self.power.precharged:
                 self.power.contactor_closed = True
                 self.enter("Charging")
+            case "PreCharge" if since_s >= self.settings.power.longest_precharge_s:
+                self._cut("Fault", "PreChargeFailed")
             case "Charging" if self.paused:
                 self.enter("Paused")
             case "Paused" if not self.paused:

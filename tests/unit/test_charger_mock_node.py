@@ -239,6 +239,45 @@ def test_a_pause_holds_the_current_at_zero_with_the_contactor_closed(session: Se
     assert session.node.power.current_a == 125.0
 
 
+def test_the_release_button_ends_the_charging_and_is_seen_in_the_proximity(session: Session) -> None:
+    session.charge()
+    session.run(3.0)
+    session.node.process.release_pressed = True
+    session.run(STEP_S)
+    assert session.node.status()["Prox"] == "ReleasePressed"
+    session.run(3.0)
+    assert session.node.state == "Finished"
+    assert not session.node.power.contactor_closed
+    assert session.node.lock.state == "Locked", "a button opens no lock"
+
+
+def test_a_voltage_that_does_not_rise_is_a_fault_and_the_contactor_stays_open(session: Session) -> None:
+    session.ask("Reserve")
+    session.ask("UnlockDock")
+    session.plugged = True
+    session.ask("LockPlug")
+    session.node.power.precharge_fails = True
+    assert session.ask("EnablePower", seconds=8.0) == "Failed"
+    assert session.node.status()["FaultCode"] == "PreChargeFailed"
+    assert session.node.status()["Pilot"] == "F"
+    assert not session.node.power.contactor_closed
+
+
+def test_every_pilot_state_can_be_seen(session: Session) -> None:
+    seen = {session.node.status()["Pilot"]}
+    session.charge()
+    seen.add(session.node.status()["Pilot"])
+    session.node.process.ventilation = True
+    seen.add(session.node.status()["Pilot"])
+    session.ask("StopPower")
+    seen.add(session.node.status()["Pilot"])
+    session.estop = True
+    session.run(STEP_S)
+    seen.add(session.node.status()["Pilot"])
+    seen.add(ChargerNode().status()["Pilot"])
+    assert seen == set("ABCDEF")
+
+
 # --- supervision --------------------------------------------------------------------------------------------------
 
 
