@@ -119,7 +119,7 @@ class Links:
 
     def _check_payload(self) -> None:
         s = self._settings
-        deadline = self._clock.now_s() + PAYLOAD_SHOWN_S
+        deadline = self._clock.now_s() + PAYLOAD_SHOWN_S * s.patience
         while True:
             mass, cog = self.telemetry.payload()
             if abs(mass - s.payload_kg) <= SAME_PAYLOAD_KG and np.allclose(cog, s.centre_of_gravity_m, atol=SAME_COG_M):

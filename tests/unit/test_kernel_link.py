@@ -47,10 +47,15 @@ def test_a_controller_that_only_listens() -> None:
     check_bit_rate(link, 250_000)
 
 
-def test_a_controller_whose_timing_the_kernel_does_not_know_has_a_bit_rate_all_the_same() -> None:
-    """As iproute2 6.1 prints the kernel's slcan driver."""
-    text = _answer(data={"bittiming": {}, "bittiming_bitrate": 500_000, "ctrlmode": []})
-    assert parse_kernel_link(text).bitrate == 500_000
+SLCAN = """[{"ifindex":3,"ifname":"can0","flags":["NOARP","UP","LOWER_UP"],"mtu":16,"qdisc":"pfifo_fast",
+"operstate":"UP","linkmode":"DEFAULT","group":"default","txqlen":10,"link_type":"can","promiscuity":0,"allmulti":0,
+"min_mtu":0,"max_mtu":0,"linkinfo":{"info_kind":"can","info_data":{"ctrlmode":["LISTEN-ONLY"],"ctrlmode_supported":[
+"LISTEN-ONLY"],"state":"ERROR-ACTIVE","restart_ms":0,"bittiming_bitrate":250000,"bitrate_const":[10000,20000,50000,
+100000,125000,250000,500000,800000,1000000],"clock":0}},"num_tx_queues":1,"gso_max_size":65536}]"""
+
+
+def test_what_iproute2_prints_of_the_kernels_slcan_driver_is_understood() -> None:
+    assert parse_kernel_link(SLCAN) == KernelLink("can0", True, False, True, "ERROR-ACTIVE", 250_000, 0, True)
 
 
 @pytest.mark.parametrize("modes", [[], ["LOOPBACK"], ["BERR-REPORTING", "FD"]])
