@@ -203,11 +203,12 @@ def test_a_tick_reaches_the_controllers_watchdog_at_once(bench: Bench, moving: b
 
 
 def test_a_stop_request_reaches_the_controller_at_once(bench: Bench) -> None:
-    home, latencies = bench.arm.state().T_base_tcp, []
+    latencies: list[float] = []
     with perception_like_load(), BareSleeps() as sleeps:
         bench.supervisor.start()
         for number in range(STOPS):
-            bench.arm.move_linear(home.moved([0.0, 0.0, -0.1 * (number % 2)]), 0.03, 0.5)
+            down_m = 0.1 if number // 10 % 2 == 0 else -0.1
+            bench.arm.move_linear(bench.arm.state().T_base_tcp.moved([0.0, 0.0, -down_m]), 0.03, 0.5)
             until(lambda: bench.arm.state().moving, "the arm moves")
             asked = time.monotonic()
             bench.supervisor.request_abort()
