@@ -17,6 +17,7 @@ from drivers.charger.settings import CanSettings
 from perception.errors import InputError
 
 _RECENT = 20
+_ERROR_FLAG = 0x20000000
 
 
 @dataclass(frozen=True, slots=True)
@@ -148,6 +149,6 @@ def _frame(message: can.Message, time_s: float) -> CanFrame:
         arbitration_id=message.arbitration_id,
         data=bytes(message.data),
         is_extended=message.is_extended_id,
-        is_error=message.is_error_frame,
+        is_error=message.is_error_frame or bool(message.arbitration_id & _ERROR_FLAG),  # candump keeps its class
         is_fd=message.is_fd,
     )

@@ -112,6 +112,13 @@ def test_bus_off_is_named_until_the_controller_restarts(rig: Rig) -> None:
     _until(lambda: rig.link.trouble == "")
 
 
+def test_who_hears_a_frame_is_on_the_bus_again(rig: Rig) -> None:
+    rig.bus.arriving.put(_error(0x040))
+    _until(lambda: rig.link.trouble == "bus-off")
+    rig.bus.arriving.put(_data(7))
+    _until(lambda: rig.link.trouble == "")
+
+
 def test_error_passive_and_warning_are_named(rig: Rig) -> None:
     rig.bus.arriving.put(_error(0x204, bytes((0, 0x20, 0, 0, 0, 0, 0x82, 0))))
     _until(lambda: rig.link.trouble == "error-passive")
