@@ -11,13 +11,13 @@ import can
 
 from drivers.base import CanFrame, Clock, LinkLostError
 from drivers.charger.bus_open import close_bus, open_bus
+from drivers.charger.candump import read_candump
 from drivers.charger.contract import Codec, Contract, FrameError
 from drivers.charger.e2e import Receiver, Verdict
 from drivers.charger.settings import CanSettings
 from perception.errors import InputError
 
 _RECENT = 20
-_ERROR_FLAG = 0x20000000
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,6 +135,9 @@ def listen_to_bus(settings: CanSettings, clock: Clock, seconds: float | None, fd
 def listen_to_file(path: Path) -> Iterator[CanFrame]:
     """Frames of a recording that python-can reads: candump's .log, .blf, .asc. Raises InputError."""
     try:
+        if path.suffix == ".log":
+            yield from read_candump(path)
+            return
         with can.LogReader(path) as reader:
             for message in reader:
                 yield _frame(message, message.timestamp)
@@ -149,6 +152,6 @@ def _frame(message: can.Message, time_s: float) -> CanFrame:
         arbitration_id=message.arbitration_id,
         data=bytes(message.data),
         is_extended=message.is_extended_id,
-        is_error=message.is_error_frame or bool(message.arbitration_id & _ERROR_FLAG),  # candump keeps its class
+        is_error=message.is_error_frame,
         is_fd=message.is_fd,
     )
