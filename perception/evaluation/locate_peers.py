@@ -29,6 +29,8 @@ Finder = Callable[[PeerProblem], Pose]
 
 _FEATURE_M = 0.012
 _TRIES = 2
+_PPF_M, _PPF_STEP = 0.005, 0.04
+"""Every pair of the CAD's points is stored: with finer spacing training takes minutes."""
 _registration: Any = o3d.pipelines.registration
 
 
@@ -193,10 +195,10 @@ def _ppf() -> Finder:
     def find(problem: PeerProblem) -> Pose:
         detector = trained.get(problem.model.checksum)
         if detector is None:
-            detector = ppf.PPF3DDetector(0.03, 0.05, 30)
-            detector.trainModel(_rows(problem.coarse_samples))
+            detector = ppf.PPF3DDetector(_PPF_STEP, 0.05, 30)
+            detector.trainModel(_rows(problem.coarse_samples.voxel_down_sample(_PPF_M)))
             trained[problem.model.checksum] = detector
-        answers = detector.match(_rows(problem.coarse_scan), 1.0 / 10.0, 0.03)
+        answers = detector.match(_rows(problem.coarse_scan.voxel_down_sample(_PPF_M)), 1.0 / 5.0, _PPF_STEP)
         return best(problem, [rigid(np.asarray(answer.pose)) for answer in answers[:100]])
 
     return find
