@@ -15,8 +15,8 @@ from controller.looking import MOST_SPOILED, plan_view
 from controller.planning import Viewpoint
 from controller.scan_session import go_to_start
 from controller.states import State
-from controller.sweep import SweepError, timed
-from controller.sweeping import ProgressReport, take_moving, timing_of
+from controller.sweep import SweepError
+from controller.sweeping import ProgressReport, taken_moving
 from controller.unrecorded import Unrecorded
 from perception.time_offset import TimedSweep, TimeOffset, estimate_time_offset
 
@@ -84,7 +84,7 @@ def _round(cell: Cell, config: SiteConfig, forth: Viewpoint, back: Viewpoint, re
 
 def _swept(cell: Cell, config: SiteConfig, view: Viewpoint, report: ProgressReport) -> TimedSweep:
     """One sweep; times in the device's seconds."""
-    sweep = timed(*take_moving(cell, config, (view,), report), timing_of(cell, config))
-    scale = 1.0 if config.scanner.sync == "shared_clock" else cell.time_scale
+    sweep = taken_moving(cell, config, (view,), report)
+    scale = 1.0 if config.scanner.sync in ("shared_clock", "trigger") else cell.time_scale
     T_flange_scanner = config.scanner.T_flange_scanner.pose
     return TimedSweep(sweep.profiles, sweep.times_s * scale, sweep.track_s * scale, sweep.track, T_flange_scanner)

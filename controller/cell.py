@@ -19,6 +19,7 @@ from controller.commands import (
     MoveJoints,
     MoveLinear,
     MoveVelocity,
+    SetOutput,
     StopMotion,
     ZeroForce,
 )
@@ -133,6 +134,8 @@ class Cell:
                 self.scanner.start()
             case Laser(on=False):
                 self.scanner.stop()
+            case SetOutput(number, level):
+                self.arm.set_output(number, level)
             case AskCharger(request):
                 self._request_sequence = self.charger.request(request)
             case Announce(pose):
@@ -239,6 +242,8 @@ def _described(command: Command) -> str:
             return f"wrench {[round(w, 1) for w in compliance.wrench]}"
         case Laser(on):
             return "on" if on else "off"
+        case SetOutput(number, level):
+            return f"{number} {'high' if level else 'low'}"
         case AskCharger(request):
             return request.name
         case Announce(pose):

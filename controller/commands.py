@@ -68,6 +68,14 @@ class Laser:
 
 
 @dataclass(frozen=True, slots=True)
+class SetOutput:
+    """A standard digital output of the arm's controller: the scanner's trigger."""
+
+    number: int
+    level: bool
+
+
+@dataclass(frozen=True, slots=True)
 class AskCharger:
     """One request of the command hand-shake."""
 
@@ -82,4 +90,4 @@ class Announce:
 
 
 Motion = MoveJoints | MoveLinear | MoveVelocity | Comply
-Command = Motion | BackOff | StopMotion | ZeroForce | Laser | AskCharger | Announce
+Command = Motion | BackOff | StopMotion | ZeroForce | Laser | SetOutput | AskCharger | Announce

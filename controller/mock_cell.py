@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import selectors
+import signal
 import socket
 import subprocess
 import sys
@@ -90,10 +91,31 @@ class MockCell:
     ) -> None:
         self._stop()
 
+    def freeze(self, name: str) -> None:
+        """Stop a mock's process as it is: its wire stays open and silent. ``ur``, ``scanner`` or ``charger``."""
+        self._process(name).send_signal(signal.SIGSTOP)
+
+    def press_estop(self, pressed: bool) -> None:
+        """The cell's emergency stop circuit."""
+        board = Blackboard.attach(self._folder)
+        board.put_estop(pressed)
+        board.close()
+
+    def repair(self) -> None:
+        """Every process goes on, the emergency stop is released."""
+        for process in self._processes:
+            process.send_signal(signal.SIGCONT)
+        self.press_estop(False)
+
+    def _process(self, name: str) -> subprocess.Popen[str]:
+        return next(process for process in self._processes if name in process.args)  # type: ignore[operator]
+
     def _scanner_options(self) -> list[str]:
         scanner = self._base.scanner
         shared = scanner.sync == "shared_clock"
         options = [*PROFILE_RATE, "--clock-offset-s", "0" if shared else "100", "--protocol", scanner.protocol]
+        if scanner.sync == "trigger":
+            options += ["--trigger-output", str(scanner.trigger_output)]
         if scanner.protocol == "profiler2":
             options += ["--reference-m", f"{scanner.profiler2.reference_mm / 1000.0:g}"]
             options += ["--address-in-words"] if scanner.profiler2.address_in_words else []
@@ -146,6 +168,7 @@ class MockCell:
     def _stop(self) -> None:
         for process in self._processes:
             process.terminate()
+            process.send_signal(signal.SIGCONT)  # a frozen one ends too
         for process in self._processes:
             try:
                 process.wait(timeout=5.0)

@@ -21,6 +21,7 @@ from controller.commands import (
     MoveJoints,
     MoveLinear,
     MoveVelocity,
+    SetOutput,
     StopMotion,
     ZeroForce,
 )
@@ -89,6 +90,9 @@ def check(command: Command, now: Situation, limits: Limits) -> Refusal | None:
         case Laser(on=on):
             allowed = now.state is State.SCANNING or not on
             return None if allowed else Refusal("laser", f"laser on in {now.state.name}")
+        case SetOutput(level=level):
+            allowed = now.state is State.SCANNING or not level
+            return None if allowed else Refusal("trigger", f"trigger in {now.state.name}")
         case ZeroForce():
             return _check_zero_force(now)
         case BackOff():

@@ -30,6 +30,8 @@ class ScannerFacts:
     """1 sigma of the error that neighbouring points share."""
     latency_s: float
     """Least delay from a profile's time stamp to the arrival that ``Profile.time_s`` tells, calibration included."""
+    calibrated_s: float
+    """The part of it that calibration found."""
     clock_period_s: float | None
     """After so long the device's time stamp starts again; None for a device that sends none."""
 
@@ -41,7 +43,7 @@ def scanner_facts(scanner: ScannerConfig) -> ScannerFacts:
         own = scanner.profiler2
         delay_s = 2 * _PROFILER2_TURN_S + _PROFILER2_WIRE_BYTES * byte_s
         optics = own.window_mm * 1e-3, own.range_noise_um * 1e-6, own.systematic_um * 1e-6
-        return ScannerFacts("Profiler 2", *optics, delay_s + calibrated_s, _PROFILER2_CLOCK_PERIOD_S)
+        return ScannerFacts("Profiler 2", *optics, delay_s + calibrated_s, calibrated_s, _PROFILER2_CLOCK_PERIOD_S)
     if scanner.protocol == "scip":
         range_finder = scanner.scip
         characters = 2 if range_finder.two_characters else 3
@@ -51,7 +53,7 @@ def scanner_facts(scanner: ScannerConfig) -> ScannerFacts:
             range_finder.range_noise_um * 1e-6,
             range_finder.systematic_um * 1e-6,
         )
-        return ScannerFacts("SCIP range finder", *optics, delay_s + calibrated_s, _SCIP_CLOCK_PERIOD_S)
+        return ScannerFacts("SCIP range finder", *optics, delay_s + calibrated_s, calibrated_s, _SCIP_CLOCK_PERIOD_S)
     described = load_scanner(scanner.format)
     delay_s = described.exposure_s / 2.0 + described.layout.size * byte_s
     clock = described.layout.clock
@@ -61,5 +63,6 @@ def scanner_facts(scanner: ScannerConfig) -> ScannerFacts:
         described.range_noise_m,
         described.systematic_m,
         delay_s + calibrated_s,
+        calibrated_s,
         None if clock is None else clock.modulus * clock.unit_s,
     )

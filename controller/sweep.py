@@ -42,6 +42,8 @@ class Timing:
     latency_s: float = 0.0
     """Least delay from a profile's device time stamp (the middle of its exposure) to its last byte: half the exposure,
     wire time and what calibration found. In the device's seconds."""
+    calibrated_s: float = 0.0
+    """The part of it that calibration found: what still counts with a trigger or a shared clock."""
     arm_latency_s: float = 0.0
     """The same for an arm sample."""
     time_scale: float = 1.0
@@ -79,7 +81,7 @@ def timed(profiles: Sequence[Profile], arm_states: Sequence[ArmState], timing: T
     if timing.shared_clock:
         kept_arm, arm_s = _growing(arm_states)
         device_s = _device_times(profiles)
-        times_s = _same_period(device_s, profiles, arm_states, timing.clock_period_s)
+        times_s = _same_period(device_s, profiles, arm_states, timing.clock_period_s) - timing.calibrated_s
     else:
         kept_arm, arm_s = _arm_times(arm_states, timing.arm_latency_s, rate)
         times_s = _profile_times(profiles, timing.latency_s, rate)

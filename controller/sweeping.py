@@ -1,6 +1,7 @@
 """Ways to sweep: how the arm moves while the laser looks, and how each profile finds the pose it was taken from.
 
 ``timestamp`` and ``shared_clock``: the arm moves on, poses are interpolated at the profiles' times.
+``trigger``: the same, with an edge of the arm's digital output for each profile (``controller.triggered``).
 ``stop_and_go``: the arm rests for each profile, so that times decide nothing.
 """
 
@@ -12,12 +13,13 @@ from contextlib import contextmanager
 import numpy as np
 
 from controller.cell import Cell
-from controller.commands import Laser, MoveLinear
+from controller.commands import Laser, MoveLinear, SetOutput
 from controller.config import SiteConfig
 from controller.faults import FaultCode, MissionFault
 from controller.planning import Viewpoint
 from controller.scanner_facts import scanner_facts
-from controller.sweep import MIN_PROFILES, SweepError, Timing, scan_of, timed
+from controller.sweep import MIN_PROFILES, SweepError, Timed, Timing, scan_of, timed
+from controller.triggered import timed_by_trigger, unevenness
 from drivers.base import ArmState
 from perception.geometry import Pose
 from perception.scan import Profile, Scan
@@ -38,7 +40,14 @@ ProgressReport = Callable[[str, float, str], None]
 class Collector:
     """Takes the scanner's profiles while it is waited for something, and tells how far the sweep is."""
 
-    def __init__(self, cell: Cell, passes: Sequence[Viewpoint], report: ProgressReport) -> None:
+    def __init__(
+        self,
+        cell: Cell,
+        passes: Sequence[Viewpoint],
+        report: ProgressReport,
+        meanwhile: Callable[[], None] = lambda: None,
+    ) -> None:
+        self._meanwhile = meanwhile
         self._cell = cell
         self._passes = passes
         self._report = report
@@ -48,6 +57,7 @@ class Collector:
 
     def collect(self) -> bool:
         """Take what has come; whether anything has come yet."""
+        self._meanwhile()
         self.profiles.extend(self._cell.scanner.take())
         if (state := self._cell.arm_state()) is not None:
             done = self.current + _fraction(state.T_base_tcp, self._passes[self.current])
@@ -63,6 +73,29 @@ class Collector:
             raise cell.explained(FaultCode.MOTION_FAILED, cell.arm.motion().detail)
 
 
+class Pulser:
+    """Edges for a scanner in trigger mode, at uneven intervals so that no edge can be taken for its neighbour."""
+
+    def __init__(self, cell: Cell, output: int, rate_hz: float) -> None:
+        self._cell = cell
+        self._output = output
+        self._half_s = 0.5 / rate_hz / cell.time_scale
+        self._number = 0
+        self._level = False
+        self._next_s = cell.wall.now_s()
+
+    def advance(self) -> None:
+        """Switch the output if that is due."""
+        now_s = self._cell.wall.now_s()
+        if now_s < self._next_s:
+            return
+        self._level = not self._level
+        self._cell.do(SetOutput(self._output, self._level))
+        self._number += self._level
+        longer = 1.0 if self._level else 1.0 + 2.0 * unevenness(self._number)
+        self._next_s = now_s + self._half_s * longer
+
+
 def run_sweep(cell: Cell, config: SiteConfig, passes: Sequence[Viewpoint], report: ProgressReport) -> Scan:
     """Laser on, all passes, laser off whatever happens; the profiles with their poses.
 
@@ -71,8 +104,21 @@ def run_sweep(cell: Cell, config: SiteConfig, passes: Sequence[Viewpoint], repor
     """
     if config.scanner.sync == "stop_and_go":
         return _stop_and_go(cell, config, passes, report)
-    profiles, states = take_moving(cell, config, passes, report)
-    return scan_of(timed(profiles, states, timing_of(cell, config)), config.scanner.T_flange_scanner.pose)
+    sweep = taken_moving(cell, config, passes, report)
+    return scan_of(sweep, config.scanner.T_flange_scanner.pose)
+
+
+def taken_moving(cell: Cell, config: SiteConfig, passes: Sequence[Viewpoint], report: ProgressReport) -> Timed:
+    """Each pass at constant speed; profiles and the flange's track in one time. Raises MissionFault, SweepError."""
+    scanner, timing = config.scanner, timing_of(cell, config)
+    if scanner.sync != "trigger":
+        return timed(*_take_moving(cell, config, passes, report), timing)
+    pulser = Pulser(cell, scanner.trigger_output, scanner.trigger_hz)
+    try:
+        profiles, states = _take_moving(cell, config, passes, report, pulser.advance)
+    finally:
+        cell.do(SetOutput(scanner.trigger_output, False))
+    return timed_by_trigger(profiles, states, scanner.trigger_output, timing)
 
 
 def timing_of(cell: Cell, config: SiteConfig) -> Timing:
@@ -80,6 +126,7 @@ def timing_of(cell: Cell, config: SiteConfig) -> Timing:
     scanner = config.scanner
     return Timing(
         latency_s=cell.profile_latency_s,
+        calibrated_s=scanner.latency_ms / 1000.0,
         time_scale=cell.time_scale,
         max_lost_share=scanner.max_lost_profiles_percent / 100.0,
         shared_clock=scanner.sync == "shared_clock",
@@ -99,11 +146,15 @@ def _laser(cell: Cell, collector: Collector) -> Iterator[None]:
         cell.do(Laser(on=False))
 
 
-def take_moving(
-    cell: Cell, config: SiteConfig, passes: Sequence[Viewpoint], report: ProgressReport
+def _take_moving(
+    cell: Cell,
+    config: SiteConfig,
+    passes: Sequence[Viewpoint],
+    report: ProgressReport,
+    meanwhile: Callable[[], None] = lambda: None,
 ) -> tuple[list[Profile], list[ArmState]]:
-    """Each pass at constant speed; the profiles and the arm's samples around them. Raises MissionFault."""
-    collector, began_s = Collector(cell, passes, report), cell.wall.now_s()
+    """The profiles and the arm's samples around them; ``meanwhile`` is called at every look. Raises MissionFault."""
+    collector, began_s = Collector(cell, passes, report, meanwhile), cell.wall.now_s()
     states: list[ArmState] = cell.arm.history(began_s - CLOCK_HISTORY_S)
 
     def remember() -> None:

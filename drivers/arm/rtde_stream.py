@@ -22,7 +22,7 @@ PORT = 30004
 PROTOCOL_VERSION = 2
 REQUEST_VERSION, CONTROLLER_VERSION, OUTPUTS, START, DATA = b"VvOSU"
 
-_FORMATS = {"DOUBLE": "d", "VECTOR3D": "3d", "VECTOR6D": "6d", "INT32": "i", "UINT32": "I"}
+_FORMATS = {"DOUBLE": "d", "VECTOR3D": "3d", "VECTOR6D": "6d", "INT32": "i", "UINT32": "I", "UINT64": "Q"}
 VARIABLES = {
     "timestamp": "DOUBLE",
     "actual_q": "VECTOR6D",
@@ -37,6 +37,7 @@ VARIABLES = {
     "target_speed_fraction": "DOUBLE",
     "payload": "DOUBLE",
     "payload_cog": "VECTOR3D",
+    "actual_digital_output_bits": "UINT64",
 }
 """What is asked for, in order, with the type that the controller must confirm."""
 _PAYLOAD = struct.Struct(">B" + "".join(_FORMATS[kind] for kind in VARIABLES.values()))
@@ -61,6 +62,7 @@ class RawSample:
     speed_fraction: float
     payload_kg: float
     payload_cog_m: Vector
+    digital_outputs: int
 
 
 def decode(payload: bytes, recipe: int) -> RawSample | None:
@@ -71,7 +73,7 @@ def decode(payload: bytes, recipe: int) -> RawSample | None:
     if v[0] != recipe:
         return None
     motion = v[2:8], v[8:14], v[14:20], v[20:26], v[26:32]
-    return RawSample(v[1], *motion, v[32], v[33], v[34], v[35], v[36], v[37], v[38:41])
+    return RawSample(v[1], *motion, v[32], v[33], v[34], v[35], v[36], v[37], v[38:41], v[41])
 
 
 class RtdeStream:
@@ -88,9 +90,9 @@ class RtdeStream:
             raise ArmAbsentError(f"no robot controller answers at {self._where} ({error})") from error
         self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         try:
-            if self._ask(REQUEST_VERSION, struct.pack(">H", PROTOCOL_VERSION)) != b"\x01":
+            if self.ask(REQUEST_VERSION, struct.pack(">H", PROTOCOL_VERSION)) != b"\x01":
                 raise ArmAbsentError(f"the controller at {self._where} does not speak RTDE {PROTOCOL_VERSION}")
-            numbers = struct.unpack(">4I", self._ask(CONTROLLER_VERSION, b"")[:16])
+            numbers = struct.unpack(">4I", self.ask(CONTROLLER_VERSION, b"")[:16])
         except BaseException:
             self.close()
             raise
@@ -99,12 +101,12 @@ class RtdeStream:
 
     def start(self, frequency_hz: float) -> None:
         """Ask for ``VARIABLES`` at a rate, and for data to flow. Raises ArmAbsentError, ProtocolError."""
-        answer = self._ask(OUTPUTS, struct.pack(">d", frequency_hz) + ",".join(VARIABLES).encode())
+        answer = self.ask(OUTPUTS, struct.pack(">d", frequency_hz) + ",".join(VARIABLES).encode())
         self._recipe, kinds = answer[0], answer[1:].decode("ascii", "replace").split(",")
         for (name, wanted), kind in zip(VARIABLES.items(), kinds, strict=False):
             if kind != wanted:
                 raise ProtocolError(f"the controller offers {name} as {kind}, not {wanted}")
-        if len(kinds) != len(VARIABLES) or self._ask(START, b"") != b"\x01":
+        if len(kinds) != len(VARIABLES) or self.ask(START, b"") != b"\x01":
             raise ProtocolError("the controller does not send the state that was asked for")
 
     def read(self, timeout_s: float) -> list[RawSample]:
@@ -132,10 +134,14 @@ class RtdeStream:
             self._socket.shutdown(socket.SHUT_RDWR)
         self._socket.close()
 
-    def _ask(self, kind: int, payload: bytes) -> bytes:
-        """Send one request and return the payload of the answer, which is of the same kind."""
+    def send(self, kind: int, payload: bytes) -> None:
+        """Send one package. Raises OSError when the link is gone."""
+        self._socket.sendall(struct.pack(">HB", 3 + len(payload), kind) + payload)
+
+    def ask(self, kind: int, payload: bytes) -> bytes:
+        """Send one request and return the payload of the answer, which is of the same kind. Raises ArmAbsentError."""
         try:
-            self._socket.sendall(struct.pack(">HB", 3 + len(payload), kind) + payload)
+            self.send(kind, payload)
             while True:
                 package = self._package()
                 if package is None:

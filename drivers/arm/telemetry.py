@@ -168,6 +168,7 @@ class Telemetry:
             moving=moving,
             program_running=sample.runtime_state == PLAYING,
             speed_scaling=float(np.clip(sample.speed_scaling * sample.speed_fraction, 0.0, 1.0)),
+            digital_outputs=sample.digital_outputs & 0xFF,
         )
 
 

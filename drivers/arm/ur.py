@@ -18,6 +18,7 @@ from drivers.arm import validate
 from drivers.arm.errors import ArmBusyError, InvalidCommandError, ProgramStoppedError, UnreachableError
 from drivers.arm.links import Links
 from drivers.arm.motion import MotionTracker
+from drivers.arm.outputs import OutputLink
 from drivers.arm.settings import UrSettings
 from drivers.arm.worker_client import CALL_S
 from drivers.base import (
@@ -53,6 +54,7 @@ class UrArm:
         self._tracker = MotionTracker()
         self._lock = threading.Lock()
         self._obstacles: tuple[Box, ...] = ()
+        self._outputs = OutputLink(settings.host)
 
     def open(self) -> None:
         """Check the robot, start both links, set TCP and payload and read them back. Raises LinkOpenError."""
@@ -64,6 +66,7 @@ class UrArm:
 
     def close(self) -> None:
         """Stop any motion, end the script and both links. Idempotent."""
+        self._outputs.close()
         self._links.close()
 
     def recover(self) -> None:
@@ -105,6 +108,10 @@ class UrArm:
     def set_obstacles(self, boxes: tuple[Box, ...]) -> None:
         """Boxes seen in the present scene (open cover, panel), to keep clear of beside the configured ones."""
         self._obstacles = boxes
+
+    def set_output(self, number: int, level: bool) -> None:
+        """Switch a standard digital output, 0 to 7. Raises LinkLostError, ProtocolError."""
+        self._outputs.set(number, level)
 
     # --- motions -----------------------------------------------------------------------------------------------------
 

@@ -61,6 +61,8 @@ class ArmState:
     program_running: bool
     speed_scaling: float
     """Speed slider times what the controller makes of it, 0 to 1."""
+    digital_outputs: int = 0
+    """Standard digital outputs, bit k for output k."""
 
     @property
     def T_base_flange(self) -> Pose:
@@ -144,6 +146,9 @@ class Arm(Protocol):
         """End whatever motion or mode is active, decelerating. Never raises for an arm at rest."""
 
     def motion(self) -> MotionProgress: ...
+
+    def set_output(self, number: int, level: bool) -> None:
+        """Switch a standard digital output, 0 to 7. Raises LinkLostError."""
 
     def zero_force_sensor(self) -> None:
         """Take the present wrench as zero. Only at rest and out of contact: the caller's duty, checked by the gate."""

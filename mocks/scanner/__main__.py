@@ -28,7 +28,9 @@ import sys
 import tempfile
 import threading
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -52,6 +54,8 @@ def main(arguments: list[str] | None = None) -> int:
     parser = _parser()
     options = parser.parse_args(arguments)
     sys.setswitchinterval(0.0005)  # the optics' thread must not hold up the line
+    if options.trigger_output is not None and options.source != "world":
+        parser.error("--trigger-output needs --source world")
     if options.source == "world" and options.world is None:
         parser.error("--source world needs --world DIR")
     if options.preset == "ld19" and options.protocol != "framed":
@@ -98,7 +102,7 @@ def main(arguments: list[str] | None = None) -> int:
 
 def _device(
     options: argparse.Namespace,
-    source: Source,
+    source: Any,
     wire: PacedWire,
     timing: StreamTiming,
     clock: EmulatedClock,
@@ -115,7 +119,9 @@ def _device(
         return ScipDevice(wire, clock, **own_time)
     if options.preset == "ld19":
         return Ld19Device(wire, clock, **own_time)
-    return StreamingDevice(source, wire, timing, clock, rng)
+    if options.trigger_output is None:
+        return StreamingDevice(source, wire, timing, clock, rng)
+    return StreamingDevice(source, wire, timing, clock, rng, partial(source.edges, options.trigger_output))
 
 
 def _source(options: argparse.Namespace, rng: np.random.Generator) -> tuple[Source, EmulatedClock]:
@@ -152,6 +158,7 @@ def _parser() -> argparse.ArgumentParser:
     add("--buffer-bytes", type=int, default=1 << 20, help="what gateway and client hold before bytes are lost")
     add("--reference-m", type=float, default=0.10, help="profiler2: distance at which Y is 0")
     add("--address-in-words", action="store_true", help="profiler2: addresses count words, not bytes")
+    add("--trigger-output", type=int, help="with a world: expose on each rising edge of this output of the arm")
     add("--lost", type=float, default=0.0, help="fault: probability that a byte is lost")
     add("--doubled", type=float, default=0.0, help="fault: probability that a byte comes twice")
     add("--flipped", type=float, default=0.0, help="fault: probability that a bit of a byte flips")

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import queue
 import threading
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -51,6 +52,10 @@ class StreamTiming:
         return self.clock_offset_s + time_s * (1.0 + self.clock_drift_ppm * 1e-6)
 
 
+Edges = Callable[[int], Sequence[tuple[int, float]]]
+"""(number, emulated time) of the trigger input's rising edges after a number."""
+
+
 class StreamingDevice:
     """The wide XZ profiler behind a paced wire."""
 
@@ -61,7 +66,10 @@ class StreamingDevice:
         timing: StreamTiming,
         clock: EmulatedClock,
         rng: np.random.Generator,
+        edges: Edges | None = None,
     ) -> None:
+        """``edges``: of the trigger input; without them the device runs free."""
+        self._edges = edges
         self._source = source
         self._wire = wire
         self._timing = timing
@@ -116,7 +124,8 @@ class StreamingDevice:
         self._finish()
         self._off_s = float("inf")
         self._source.begin_sweep()
-        self._optics = threading.Thread(target=self._expose, args=(self._clock.now_s(),), name="optics", daemon=True)
+        expose = self._expose if self._edges is None else self._expose_on_edges
+        self._optics = threading.Thread(target=expose, args=(self._clock.now_s(),), name="optics", daemon=True)
         self._optics.start()
 
     def _finish(self) -> None:
@@ -146,6 +155,23 @@ class StreamingDevice:
             count += len(lines)
             if not lines and self._power_off.wait(POLL_S):
                 return
+
+    def _expose_on_edges(self, began_s: float) -> None:
+        """One profile for each rising edge of the trigger input until laser or power goes off."""
+        assert self._edges is not None
+        last = 0
+        while not self._power_off.is_set() and not self._is_over(self._clock.now_s()):
+            for number, edge_s in self._edges(last):
+                time_s = edge_s + self._timing.exposure_s / 2
+                if edge_s < began_s:
+                    last = number
+                    continue
+                lines = [] if edge_s > self._off_s else self._source.lines(self._number, [time_s])
+                if not lines:
+                    break
+                self._hand_over(lines[0], time_s)
+                last = number
+            self._power_off.wait(POLL_S)
 
     def _wait_until(self, time_s: float) -> bool:
         """Whether the time came before power or laser went off."""

@@ -50,6 +50,10 @@ class WorldSource:
         """The world's time."""
         return EmulatedClock(self._board.world_time_s, self._board.time_scale)
 
+    def edges(self, output: int, after: int) -> list[tuple[int, float]]:
+        """(number, world time) of the rising edges of one of the arm's digital outputs after a number."""
+        return [(number, time_s) for number, time_s, which in self._board.edges(after) if which == output]
+
     def begin_sweep(self) -> None:
         """Counts the sweep in the world; the first ones may be blinded by glare."""
         sweep = self._board.sweep() + 1

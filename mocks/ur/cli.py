@@ -66,13 +66,28 @@ def build(options: argparse.Namespace) -> UrServer:
     time_scale = board.time_scale if board else options.time_scale
     server = UrServer(controller, options.host, options.rate, _clock(board, time_scale), time_scale, options.programs)
     if board is not None:
-        server.after_step = lambda: _publish(controller, board)
+        edges = RisingEdges()
+        server.after_step = lambda: _publish(controller, board, edges)
     return server
 
 
-def _publish(controller: Controller, board: Blackboard) -> None:
-    """After each step: the flange's pose for the scanner; the cell's E-stop circuit reaches the arm."""
+class RisingEdges:
+    """Which digital outputs have risen since they were looked at last."""
+
+    def __init__(self) -> None:
+        self._before = 0
+
+    def of(self, outputs: int) -> list[int]:
+        """Numbers of the outputs that are high now and were low before."""
+        risen, self._before = outputs & ~self._before, outputs
+        return [number for number in range(8) if risen >> number & 1]
+
+
+def _publish(controller: Controller, board: Blackboard, edges: RisingEdges) -> None:
+    """After each step: flange pose and output edges for the scanner; the cell's E-stop circuit reaches the arm."""
     board.put_arm(controller.time_s, controller.arm.T_base_flange_true)
+    for output in edges.of(controller.io.digital_out):
+        board.put_edge(controller.time_s, output)
     pressed = board.estop()
     if pressed:
         controller.emergency_stop(system=True)

@@ -119,6 +119,7 @@ class Blackboard:
         self._lock = _Section(self._memory, self._plug.end, "<d", _SLOTS)
         self._estop = _Section(self._memory, self._lock.end, "<d", _SLOTS)
         self._sweep = _Section(self._memory, self._estop.end, "<d", _SLOTS)
+        self._edge = _Section(self._memory, self._sweep.end, "<dd", _EDGE_SLOTS)
 
     @staticmethod
     def create(folder: Path, time_scale: float = 1.0, clock_s: Callable[[], float] = time.monotonic) -> Blackboard:
@@ -176,6 +177,21 @@ class Blackboard:
     def _arm_record(self, sequence: int) -> tuple[float, ...] | None:
         return self._arm.at(sequence) if sequence > 0 else None
 
+    # --- rising edges of the arm's digital outputs: written by the arm mock ---------------------------------------
+
+    def put_edge(self, time_s: float, output: int) -> None:
+        """A digital output rose at a world time."""
+        self._edge.put(time_s, float(output))
+
+    def edges(self, after: int) -> list[tuple[int, float, int]]:
+        """(number, world time, output) of the edges with a greater number than ``after``, as far as they are kept."""
+        found = []
+        for number in range(max(after + 1, self._edge.oldest()), self._edge.newest() + 1):
+            record = self._edge.at(number)
+            if record is not None:
+                found.append((number, record[0], int(record[1])))
+        return found
+
     # --- plug: written by the arm mock --------------------------------------------------------------------------
 
     def put_plug(self, plug: PlugState) -> None:
@@ -220,6 +236,7 @@ class Blackboard:
 _ARM_LAYOUT = "<13d"
 _ARM_SLOTS = 16384  # half a minute at 500 Hz
 _SLOTS = 16
+_EDGE_SLOTS = 256
 _FILE_BYTES = 1 << 21
 
 

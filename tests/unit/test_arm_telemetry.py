@@ -15,7 +15,7 @@ from drivers.base import ArmState, RobotMode, SafetyMode
 from perception.geometry import Pose
 from tests.arm_rig import Sink, own_address, until
 
-KINDS = b"DOUBLE,VECTOR6D,VECTOR6D,VECTOR6D,VECTOR6D,VECTOR6D,INT32,INT32,UINT32,DOUBLE,DOUBLE,DOUBLE,VECTOR3D"
+KINDS = b"DOUBLE,VECTOR6D,VECTOR6D,VECTOR6D,VECTOR6D,VECTOR6D,INT32,INT32,UINT32,DOUBLE,DOUBLE,DOUBLE,VECTOR3D,UINT64"
 
 
 class ManualClock:
@@ -36,7 +36,7 @@ def package(kind: str, payload: bytes) -> bytes:
 def sample(timestamp_s: float, qd: float = 0.0, safety: int = 1, mode: int = 7) -> bytes:
     doubles = [timestamp_s, *[0.1] * 6, *[qd] * 6, *[0.2] * 6, *[0.0] * 6, *[0.0] * 6]
     modes = struct.pack(">iiI", mode, safety, 2)
-    rest = struct.pack(">6d", 0.5, 0.5, 2.5, 0.0, 0.01, 0.06)
+    rest = struct.pack(">6dQ", 0.5, 0.5, 2.5, 0.0, 0.01, 0.06, 0)
     return package("U", b"\x01" + struct.pack(">31d", *doubles) + modes + rest)
 
 

@@ -87,14 +87,14 @@ VERSION = (bytes.fromhex("0005560002"), bytes.fromhex("00045601"))
 CONTROLLER = (bytes.fromhex("000376"), bytes.fromhex("001376 00000005 0000000f 00000002 00000063"))
 NAMES = (
     b"timestamp,actual_q,actual_qd,actual_TCP_pose,actual_TCP_speed,actual_TCP_force,robot_mode,safety_mode,"
-    b"runtime_state,speed_scaling,target_speed_fraction,payload,payload_cog"
+    b"runtime_state,speed_scaling,target_speed_fraction,payload,payload_cog,actual_digital_output_bits"
 )
-KINDS = b"DOUBLE,VECTOR6D,VECTOR6D,VECTOR6D,VECTOR6D,VECTOR6D,INT32,INT32,UINT32,DOUBLE,DOUBLE,DOUBLE,VECTOR3D"
-OUTPUTS = (bytes.fromhex("00b64f 405f400000000000") + NAMES, bytes.fromhex("00684f 01") + KINDS)
+KINDS = b"DOUBLE,VECTOR6D,VECTOR6D,VECTOR6D,VECTOR6D,VECTOR6D,INT32,INT32,UINT32,DOUBLE,DOUBLE,DOUBLE,VECTOR3D,UINT64"
+OUTPUTS = (bytes.fromhex("00d14f 405f400000000000") + NAMES, bytes.fromhex("006f4f 01") + KINDS)
 START = (bytes.fromhex("000353"), bytes.fromhex("00045301"))
 ONE, TWO, HALF = (bytes.fromhex(text) for text in ("3ff0000000000000", "4000000000000000", "3fe0000000000000"))
 SAMPLE = (
-    bytes.fromhex("013855 01")
+    bytes.fromhex("014055 01")
     + TWO  # time stamp
     + ONE * 6  # q
     + HALF * 6  # qd
@@ -106,6 +106,7 @@ SAMPLE = (
     + HALF  # slider
     + TWO  # payload
     + ONE * 3  # centre of gravity
+    + bytes.fromhex("0000000000000005")  # digital outputs 0 and 2
 )
 LATER = SAMPLE.replace(bytes.fromhex("01") + TWO, bytes.fromhex("01 4008000000000000"), 1)
 
@@ -132,13 +133,13 @@ def test_the_stream_asks_for_version_and_data_and_decodes_a_sample() -> None:
     assert seen == [expected for expected, _ in script]
     assert stream.version == (5, 15, 2, 99)
     assert sample == RawSample(
-        2.0, (1.0,) * 6, (0.5,) * 6, (2.0,) * 6, (1.0,) * 6, (0.5,) * 6, 7, 1, 2, 1.0, 0.5, 2.0, (1.0,) * 3
+        2.0, (1.0,) * 6, (0.5,) * 6, (2.0,) * 6, (1.0,) * 6, (0.5,) * 6, 7, 1, 2, 1.0, 0.5, 2.0, (1.0,) * 3, 5
     )
 
 
 def test_every_queued_sample_is_read_and_other_packages_are_passed_over() -> None:
     message = bytes.fromhex("000a4d 02 6869 02 6d65 01")
-    foreign = bytes.fromhex("013855 02") + SAMPLE[4:]
+    foreign = bytes.fromhex("014055 02") + SAMPLE[4:]
     flood = SAMPLE + message + foreign + LATER
     script = [VERSION, (CONTROLLER[0], message + CONTROLLER[1]), OUTPUTS, (START[0], message + START[1] + flood)]
     with scripted_server(30004, script) as (host, _):
