@@ -18,7 +18,7 @@ from controller.recording.reader import read_recording
 TIMEOUT_S = 480
 SITE = """
 site: user-mode-linux
-scan: {speed_mm_s: 12.0}
+scan: {speed_mm_s: 5.0}
 arm: {freshness_ms: 5000.0, watchdog_hz: 0.2}
 charger: {degraded_ms: 4000.0, lost_ms: 5000.0, ack_timeout_ms: 10000.0}
 scanner: {silence_ms: 30000.0, sync: shared_clock}
@@ -39,7 +39,7 @@ def test_a_whole_docking_cycle_on_vcan(tmp_path: Path) -> None:
     site, out = tmp_path / "site.yaml", tmp_path / "out"
     site.write_text(SITE)
     command = [sys.executable, "-m", "controller.cli.main", "dry-run", "--json", "--can", "socketcan:vcan0"]
-    command += ["--profile-rate-hz", "16", "--config", str(site), "--out", str(out)]
+    command += ["--profile-rate-hz", "5", "--config", str(site), "--out", str(out)]
     done = subprocess.run(command, capture_output=True, check=False, text=True, timeout=TIMEOUT_S)
     assert done.stdout, done.stderr
     result = json.loads(done.stdout)
