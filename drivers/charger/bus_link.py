@@ -51,7 +51,8 @@ class BusLink:
         self._mail: OrderedDict[int, can.Message] = OrderedDict()
         self._mail_ready = threading.Condition()
         self._threads: list[threading.Thread] = []
-        self._full_since_s: float | None = None
+        self._full_since_s = self._full_s = float("-inf")
+        """When frames began to be refused, and when one was refused last."""
         self._condition = ""
         self._trouble = ""
         self._heard_s, self._patience_s = 0.0, settings.reset_silence_s
@@ -196,11 +197,12 @@ class BusLink:
             if bus is self._bus:
                 self._note_trouble("tx_errors", error)
             return
-        self._full_since_s = None
-        if self._trouble in (Trouble.FULL.value, Trouble.DOWN.value):
+        now_s = self._clock.now_s()
+        free = now_s - self._full_s > _FULL_S  # one frame that slips through makes no free bus
+        if self._trouble == Trouble.DOWN.value or (self._trouble == Trouble.FULL.value and free):
             self._trouble = ""
         self.counters["tx_frames"] += 1
-        self._record(message, "tx", self._clock.now_s())
+        self._record(message, "tx", now_s)
 
     # --- both ---------------------------------------------------------------------------------------------------
 
@@ -209,7 +211,9 @@ class BusLink:
         kind = trouble(error)
         if kind is Trouble.FULL:
             now_s = self._clock.now_s()
-            self._full_since_s = self._full_since_s or now_s
+            if now_s - self._full_s > _FULL_S:
+                self._full_since_s = now_s
+            self._full_s = now_s
             if now_s - self._full_since_s <= _FULL_S:
                 return
         if self._trouble != kind.value:

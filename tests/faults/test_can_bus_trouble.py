@@ -145,9 +145,36 @@ def test_a_queue_that_stays_full_is_a_bus_that_nobody_acknowledges(rig: Rig) -> 
 
     _until(complained)
     rig.bus.refusal = None
-    rig.send()
-    _until(lambda: rig.link.trouble == "")
+
+    def well() -> bool:
+        rig.send()
+        return rig.link.trouble == ""
+
+    _until(well)
     assert len(rig.buses) == 1
+
+
+def test_a_full_bus_is_named_although_a_frame_slips_through_now_and_then(rig: Rig) -> None:
+    full, count = can.CanOperationError("full", 105), 0
+    original = rig.bus.send
+
+    def now_and_then(message: can.Message, timeout: float) -> None:
+        nonlocal count
+        count += 1
+        if count % 7:
+            raise full
+        original(message, timeout)
+
+    rig.bus.send = now_and_then  # type: ignore[method-assign]
+
+    def complained() -> bool:
+        rig.send()
+        return "the bus is full" in rig.link.trouble
+
+    _until(complained)
+    slipped = len(rig.bus.sent)
+    _until(lambda: rig.send() or len(rig.bus.sent) > slipped + 3)
+    assert "the bus is full" in rig.link.trouble
 
 
 def test_an_interface_that_goes_down_and_up_needs_no_new_bus(rig: Rig) -> None:
