@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import logging
 import shutil
 import sys
 import tempfile
@@ -12,12 +13,15 @@ from typing import Annotated
 
 import typer
 
+from controller.calibrations.in_force import calibrated_as_far_as_fits, mock_names
 from controller.cli.progress import make_display
 from controller.config import SiteConfig, load_config
 from controller.config_section import ConfigError
 from controller.port_files import load_port
 from controller.scenarios import SCENARIOS, draw_scenario
 from controller.summary import MissionSummary
+
+log = logging.getLogger(__name__)
 
 FAST_FACTOR = 2.0
 """Emulated seconds per wall second with --fast."""
@@ -41,6 +45,9 @@ def dry_run(
         typer.Option(min=1.0, max=50.0, help="Of the mock scanner, where the host ray-casts no 50 a second."),
     ] = None,
     scanner: Annotated[str | None, typer.Option(help="A scanner with a site of its own: profiler2.")] = None,
+    mock_cell: Annotated[
+        int | None, typer.Option(min=0, help="Which mock cell, for its calibrations; the seed's own if left out.")
+    ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object instead of progress.")] = False,
 ) -> None:
     """Watch a whole docking cycle without hardware: three mocks on real wires, the very controller of the daemon."""
@@ -48,7 +55,8 @@ def dry_run(
     from controller.session import run_session
 
     site = for_mocks(load_config(config, scanner), fast)
-    world = draw_scenario(scenario, site, load_port(site.port.model), seed)
+    world = draw_scenario(scenario, site, load_port(site.port.model), seed, mock_cell)
+    number = seed if mock_cell is None else mock_cell
     folder = run_folder(out, site)
     pace = FAST_FACTOR if fast else 1.0
     with make_display(quiet=as_json) as display, tempfile.TemporaryDirectory(prefix="portdock-") as wires:
@@ -56,7 +64,7 @@ def dry_run(
             display.note(f"fast: wires and arm run {pace:g} times as fast; heartbeats keep wall time; one device clock")
         with MockCell(Path(wires), site, world, seed, pace, can_bus(can), profile_rate(profile_rate_hz)) as cell:
             summary = run_session(
-                cell.config,
+                on_mock_cell(cell.config, number),
                 folder,
                 display,
                 pace=pace,
@@ -67,6 +75,15 @@ def dry_run(
             keep_mock_logs(Path(wires), folder)
         display.finish(summary)
     finish(summary, as_json)
+
+
+def on_mock_cell(site: SiteConfig, number: int) -> SiteConfig:
+    """The site with the calibrations that belong to this mock cell; those of others and old ones are left aside."""
+    site, found = calibrated_as_far_as_fits(site, mock_names(number))
+    for one in found:
+        if one.problem is not None:
+            log.warning("not used: %s", one.problem.cause)
+    return site
 
 
 def profile_rate(rate_hz: float | None) -> tuple[str, ...]:
@@ -126,6 +143,7 @@ def for_mocks(site: SiteConfig, fast: bool = False) -> SiteConfig:
             "silence_ms": max(5000.0, site.scanner.silence_ms),
             "sync": "shared_clock" if fast and site.scanner.sync == "timestamp" else site.scanner.sync,
         },
+        "deadlines": {"locating_s": max(600.0, site.deadlines.locating_s)},  # perception takes wall time, fast or not
         "host": {"stall_ms": max(2000.0, site.host.stall_ms)},
     }
     return site.model_copy(

@@ -25,6 +25,7 @@ from controller.cli import (
     scan,
     scanner,
     service,
+    soak,
     states,
 )
 from controller.config_section import ConfigError
@@ -51,6 +52,7 @@ app.command("dry-run")(dry_run.dry_run)
 app.command("run")(service.run)
 for command in (jobs.dock, jobs.undock, jobs.stop, jobs.abort, jobs.reset, jobs.status):
     app.command()(command)
+app.command("soak")(soak.soak)
 app.command("locate")(locate.locate)
 app.command("merge")(merge.merge)
 app.command("states")(states.states)

@@ -1,0 +1,85 @@
+"""The daemon over real wires: docked, killed with the plug locked in the port, started again, undocked."""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from controller.cli.dry_run import FAST_FACTOR, for_mocks
+from controller.config import as_yaml, load_config
+from controller.mock_cell import MockCell
+from controller.port_files import load_port
+from controller.recording.reader import read_recording
+from controller.scenarios import draw_scenario
+
+pytestmark = [pytest.mark.long, pytest.mark.timeout(1200)]
+
+PORTDOCK = [sys.executable, "-m", "controller.cli.main"]
+
+
+@pytest.fixture
+def site(tmp_path: Path) -> Iterator[Path]:
+    """A site file whose devices are mocks that outlive the daemon."""
+    wide = for_mocks(load_config(), fast=True)
+    service = {"socket": str(tmp_path / "s"), "state_folder": str(tmp_path / "state"), "http_port": 0}
+    changes = {"service": service, "recording": {"folder": str(tmp_path / "runs")}}
+    wide = wide.model_copy(update={k: getattr(wide, k).model_copy(update=v) for k, v in changes.items()})
+    world = draw_scenario("nominal", wide, load_port(wide.port.model), 4)
+    with MockCell(tmp_path / "wires", wide, world, 4, FAST_FACTOR) as cell:
+        path = tmp_path / "site.yaml"
+        path.write_text(as_yaml(cell.config))
+        yield path
+
+
+def start(site: Path) -> subprocess.Popen[bytes]:
+    command = [*PORTDOCK, "run", "--config", str(site), "--pace", f"{FAST_FACTOR:g}"]
+    with (site.parent / "daemon.log").open("ab") as log:
+        daemon = subprocess.Popen(command, stdout=log, stderr=log, cwd=site.parent)
+    end_s = time.monotonic() + 120.0
+    while time.monotonic() < end_s:
+        assert daemon.poll() is None, (site.parent / "daemon.log").read_text()
+        if (site.parent / "s").exists() and ask(site, "status")[1].get("state") in ("READY", "CHARGING", "FAULT"):
+            return daemon
+        time.sleep(0.2)
+    raise AssertionError((site.parent / "daemon.log").read_text())
+
+
+def ask(site: Path, *words: str) -> tuple[int, dict]:  # type: ignore[type-arg]
+    done = subprocess.run(
+        [*PORTDOCK, *words, "--json", "--socket", str(site.parent / "s")],
+        capture_output=True,
+        text=True,
+        timeout=600,
+        check=False,
+    )
+    return done.returncode, json.loads(done.stdout or "{}")
+
+
+def test_a_daemon_killed_while_charging_comes_up_safe_and_undocks_when_asked(site: Path) -> None:
+    first = start(site)
+    code, docked = ask(site, "dock")
+    assert (code, docked["outcome"]) == (0, "charging"), docked
+    assert ask(site, "dock")[1]["outcome"] == "already-docked"
+    first.send_signal(signal.SIGKILL)
+    first.wait()
+    second = start(site)
+    try:
+        code, status = ask(site, "status")
+        assert status["plug"] == "LATCHED" and status["lock"] == "LOCKED"
+        if status["state"] == "FAULT":  # the charger has ended the charge by itself, as its supervision demands
+            assert code == 1 and status["fault"] == "plug-inserted-at-start" and "undock" in status["remedy"]
+        code, undocked = ask(site, "undock")
+        assert (code, undocked["outcome"]) == (0, "undocked"), undocked
+        status = ask(site, "status")[1]
+        assert (status["state"], status["plug"], status["lock"]) == ("READY", "ABSENT", "UNLOCKED")
+        assert all(read_recording(path).complete for path in (site.parent / "runs").glob("*/mission.mcap"))
+    finally:
+        second.send_signal(signal.SIGTERM)
+        assert second.wait(60) == 0
