@@ -77,4 +77,5 @@ def assemble(
         time_scale=pace,
         car=devices.car,
     )
-    return Assembly(cell, model, port.T_port_tcp)
+    taught = config.port.T_port_tcp
+    return Assembly(cell, model, port.T_port_tcp if taught is None else taught.pose)

@@ -38,6 +38,8 @@ class PortConfig(Section):
     """How far its axis may point elsewhere than expected."""
     roll_deg: Annotated[float, Field(gt=0, le=180)] = 15.0
     """How far it may be turned about its axis."""
+    T_port_tcp: PoseConfig | None = None
+    """The mated plug in the port's frame: `portdock teach` finds it. None: as the port's description says."""
 
 
 class ViewpointConfig(Section):
@@ -158,6 +160,15 @@ class RecordingConfig(Section):
     """Oldest recordings are removed while all of them together are larger."""
 
 
+class CalibrationConfig(Section):
+    """Where calibrations are kept, and how long they may be used."""
+
+    folder: str = "portdock-calibrations"
+    """What `portdock calibrate` and `portdock teach` write, and what missions read."""
+    max_age_days: Annotated[float, Field(gt=0, le=10_000)] = 180.0
+    """An older calibration is not used: calibrate again."""
+
+
 class SiteConfig(Section):
     """Everything a site can set."""
 
@@ -174,6 +185,7 @@ class SiteConfig(Section):
     deadlines: DeadlinesConfig = DeadlinesConfig()
     host: HostConfig = HostConfig()
     recording: RecordingConfig = RecordingConfig()
+    calibration: CalibrationConfig = CalibrationConfig()
     service: ServiceConfig = ServiceConfig()
 
     @property

@@ -34,6 +34,13 @@ class PoseConfig(Section):
     rotvec_deg: Vector3 = (0.0, 0.0, 0.0)
     """Rotation vector: its direction is the axis, its length the angle."""
 
+    @staticmethod
+    def of(pose: Pose) -> PoseConfig:
+        """A pose in SI as it stands in a site file."""
+        x, y, z = (1e3 * float(v) for v in pose.translation)
+        rx, ry, rz = (float(v) for v in np.rad2deg(pose.rotvec))
+        return PoseConfig(xyz_mm=(x, y, z), rotvec_deg=(rx, ry, rz))
+
     @property
     def pose(self) -> Pose:
         """The same in SI."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 _UNITS = {
     "mm": "mm", "um": "um", "deg": "deg", "s": "s", "ms": "ms", "n": "N", "nm": "Nm", "hz": "Hz", "kg": "kg", "a": "A",
-    "bps": "bit/s", "percent": "%", "mb": "MB", "rate": "baud",
+    "bps": "bit/s", "percent": "%", "mb": "MB", "days": "d", "rate": "baud",
 }  # fmt: skip
 _RATES = {"mm_s2": "mm/s^2", "deg_s2": "deg/s^2", "mm_s": "mm/s", "deg_s": "deg/s"}
 

@@ -22,18 +22,23 @@ class StoredInsertion:
 
 
 def remember_insertion(folder: Path, plan: DockPlan) -> None:
-    """Write axis and depth durably (write, fsync, rename, fsync the folder), before anything touches."""
+    """Write axis and depth durably, before anything touches."""
     values = {
         "T_base_port": plan.T_base_port.matrix.tolist(),
         "T_port_tcp_mated": plan.T_port_tcp_mated.matrix.tolist(),
     }
-    temporary = folder / (_NAME + ".tmp")
+    write_durably(folder / _NAME, json.dumps(values))
+
+
+def write_durably(path: Path, text: str) -> None:
+    """All of it or nothing, also when the power fails: write beside it, fsync, rename, fsync the folder."""
+    temporary = path.with_name(path.name + ".tmp")
     with temporary.open("w", encoding="utf-8") as file:
-        json.dump(values, file)
+        file.write(text)
         file.flush()
         os.fsync(file.fileno())
-    temporary.replace(folder / _NAME)
-    _sync(folder)
+    temporary.replace(path)
+    _sync(path.parent)
 
 
 def forget_insertion(folder: Path) -> None:

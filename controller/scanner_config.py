@@ -65,6 +65,8 @@ class ScannerConfig(Section):
     """Name of a bundled frame description, or path of one. Only with ``protocol: framed``."""
     device: str = "/dev/serial/by-id/scanner"
     """Serial device; a name under /dev/serial/by-id survives replugging."""
+    serial: str | None = None
+    """The scanner's serial number, for its calibrations. None: its device name stands for it."""
     baud_rate: Annotated[int, Field(ge=9600, le=12_000_000)] = 3_000_000
     """Of the serial line."""
     T_flange_scanner: PoseConfig = PoseConfig()

@@ -45,12 +45,19 @@ class Scenario:
     miscalibration: Miscalibration = NONE
 
 
-SCENARIOS = ("nominal", "no-port", "first-scan-poor", "blocked")
+UNCALIBRATED_M, UNCALIBRATED_DEG = (0.010, 0.020), (5.0, 10.0)
+"""How far a scanner that was mounted by eye and tape measure sits off its nominal place."""
+UNCALIBRATED_JOINT_DEG = 0.02
+
+SCENARIOS = ("nominal", "no-port", "first-scan-poor", "blocked", "uncalibrated")
 BLOCKED_DEPTH_M = 0.008
 
 
-def draw_scenario(name: str, config: SiteConfig, port: PortDescription, seed: int) -> Scenario:
+def draw_scenario(name: str, config: SiteConfig, port: PortDescription, seed: int, cell: int | None = None) -> Scenario:
     """The scenario's world: the car stands up to 20 mm, 4 deg off, the calibration is good but not perfect.
+
+    ``uncalibrated``: the scanner sits 10 to 20 mm and 5 to 10 deg off its nominal place, joints are 0.02 deg off.
+    ``cell``: which cell, where that is not the seed: its calibration errors stay while the car comes and goes.
 
     Raises ConfigError for an unknown name.
     """
@@ -60,7 +67,9 @@ def draw_scenario(name: str, config: SiteConfig, port: PortDescription, seed: in
     offset_m = rng.uniform(-1.0, 1.0, 3) * [0.020, 0.015, 0.015]
     turn_rad = np.deg2rad(rng.uniform(-1.0, 1.0, 3) * [4.0, 4.0, 3.0])
     T_base_port = config.port.T_base_port.pose @ Pose.from_rotvec(turn_rad, offset_m)
-    nominal = Scenario(name, T_base_port, miscalibration=_draw_miscalibration(np.random.default_rng([seed, 2])))
+    cell_rng = np.random.default_rng([seed if cell is None else cell, 2])
+    unknown = _draw_uncalibrated(cell_rng) if name == "uncalibrated" else _draw_miscalibration(cell_rng)
+    nominal = Scenario(name, T_base_port, miscalibration=unknown)
     match name:
         case "no-port":
             return replace(nominal, plain_panel=True)
@@ -78,3 +87,12 @@ def _draw_miscalibration(rng: np.random.Generator) -> Miscalibration:
 
     j1, j2, j3, j4, j5, j6 = rng.normal(0.0, JOINT_RAD, 6).tolist()
     return Miscalibration(pose(HAND_EYE_M, HAND_EYE_DEG), pose(TOOL_M, TOOL_DEG), (j1, j2, j3, j4, j5, j6))
+
+
+def _draw_uncalibrated(rng: np.random.Generator) -> Miscalibration:
+    """A cell before its first calibration."""
+    place, turn = (v / np.linalg.norm(v) for v in rng.normal(size=(2, 3)))
+    scanner = Pose.from_rotvec(np.deg2rad(rng.uniform(*UNCALIBRATED_DEG)) * turn, rng.uniform(*UNCALIBRATED_M) * place)
+    tool = Pose.from_rotvec(np.deg2rad(rng.normal(0.0, TOOL_DEG, 3)), rng.normal(0.0, TOOL_M, 3))
+    j1, j2, j3, j4, j5, j6 = np.deg2rad(rng.normal(0.0, UNCALIBRATED_JOINT_DEG, 6)).tolist()
+    return Miscalibration(scanner, tool, (j1, j2, j3, j4, j5, j6))

@@ -1,4 +1,4 @@
-"""``portdock calibrate``: what is constant about a site and can be measured: so far the scanner's time offset."""
+"""``portdock calibrate``: what is constant about a site and can be measured, and the files that it is kept in."""
 
 from __future__ import annotations
 
@@ -8,15 +8,14 @@ from typing import Annotated
 
 import typer
 
+from controller.cli import calibration_files
 from controller.cli.scan import ConfigOption, MockOption, ScannerOption, SeedOption, cell_for, show_quarters
 from controller.config import load_config
 
 app = typer.Typer(help="Measure what is constant about a site.", no_args_is_help=True)
-
-
-@app.callback()
-def _group() -> None:
-    """Keeps ``time-offset`` a command of its own."""
+app.command()(calibration_files.show)
+app.command()(calibration_files.compare)
+app.command()(calibration_files.restore)
 
 
 @app.command("time-offset")

@@ -10,7 +10,8 @@ from typing import Annotated
 
 import typer
 
-from controller.cli.dry_run import FAST_FACTOR, for_mocks
+from controller.calibrations.in_force import calibrated
+from controller.cli.dry_run import FAST_FACTOR, for_mocks, on_mock_cell
 from controller.config import SiteConfig, load_config
 from controller.port_files import load_port
 from controller.scenarios import SCENARIOS, draw_scenario
@@ -50,18 +51,22 @@ def cell_for(
     scenario: str,
     fast: bool,
     scanner_options: tuple[str, ...] = (),
+    number: int | None = None,
 ) -> tuple[SiteConfig, float]:
-    """The site to open and its pace: as it is, or with mock devices that live until ``closing`` ends."""
+    """The site to open with its calibrations, and its pace; or mock devices that live until ``closing`` ends.
+
+    ``number``: which mock cell, if not the seed's own.
+    """
     if not mock:
-        return site, 1.0
+        return calibrated(site), 1.0
     from controller.mock_cell import MockCell  # the world takes a second to import
 
     pace = FAST_FACTOR if fast else 1.0
     site = for_mocks(site, fast)
-    world = draw_scenario(scenario, site, load_port(site.port.model), seed)
+    world = draw_scenario(scenario, site, load_port(site.port.model), seed, number)
     wires = closing.enter_context(tempfile.TemporaryDirectory(prefix="portdock-"))
     cell = MockCell(Path(wires), site, world, seed, pace, scanner_options=scanner_options)
-    return closing.enter_context(cell).config, pace
+    return on_mock_cell(closing.enter_context(cell).config, seed if number is None else number), pace
 
 
 def show_quarters(label: str, fraction: float, detail: str) -> None:

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from controller.calibrations.in_force import calibrated
 from controller.config import SiteConfig, load_config
 from controller.config_section import ConfigError
 from controller.scenarios import SCENARIOS
@@ -38,7 +39,7 @@ def run(
         return
     if config is None:
         raise ConfigError("no site file", remedy="Give --config SITE, or --mock to try it without hardware.")
-    site = load_config(config)
+    site = calibrated(load_config(config))
     if pace != 1.0 and not site.arm.host.startswith("127."):
         raise ConfigError("--pace is for mocks only", remedy="Leave it out.")
     from controller.daemon.life import Setting, run_daemon  # devices take seconds to import
@@ -48,7 +49,7 @@ def run(
 
 def _run_on_mocks(site: SiteConfig, path: Path | None, fast: bool, scenario: str, seed: int) -> None:
     """The very daemon, with three mock processes at the far ends of its wires; its memory ends with their world."""
-    from controller.cli.dry_run import FAST_FACTOR, for_mocks
+    from controller.cli.dry_run import FAST_FACTOR, for_mocks, on_mock_cell
     from controller.daemon.life import Setting, run_daemon  # see above
     from controller.mock_cell import MockCell
     from controller.port_files import load_port
@@ -60,7 +61,7 @@ def _run_on_mocks(site: SiteConfig, path: Path | None, fast: bool, scenario: str
     with tempfile.TemporaryDirectory(prefix="portdock-") as folder:
         service = wide.service.model_copy(update={"state_folder": folder})
         with MockCell(Path(folder), wide.model_copy(update={"service": service}), world, seed, pace) as cell:
-            run_daemon(Setting(cell.config, "mock", path), assemble_at(pace, 1))
+            run_daemon(Setting(on_mock_cell(cell.config, seed), "mock", path), assemble_at(pace, 1))
 
 
 def assemble_at(pace: float, heartbeat_mode: int) -> Assemble:

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+from controller.calibrations.in_force import calibrated
 from controller.config import SiteConfig, load_config
 from perception.errors import PortdockError
 
@@ -15,7 +16,7 @@ def describe_changes(running: SiteConfig, path: Path | None) -> list[str]:
     if path is None:
         return ["no site file was given: a restart changes nothing"]
     try:
-        on_disk = load_config(path)
+        on_disk = calibrated(load_config(path))
     except PortdockError as error:
         return [f"{path} cannot be used: {error.cause}. {error.remedy}"]
     before, after = dict(_keys(running.model_dump())), dict(_keys(on_disk.model_dump()))

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from datetime import UTC, datetime
 from pathlib import Path
 
+from controller.calibrations.in_force import examine_calibrations
 from controller.config import SiteConfig
 from controller.doctor import devices, host
-from controller.doctor.findings import Finding, ok, warn
+from controller.doctor.findings import Finding, fail, ok, warn
 from controller.port_files import load_port
 from perception.errors import PortdockError
 
@@ -21,6 +23,7 @@ def examine(config: SiteConfig, with_devices: bool = True) -> Iterator[Finding]:
     yield host.governor()
     yield host.clock()
     yield port(config)
+    yield from calibrations(config)
     if with_devices:
         yield from devices.scanner(config)
         yield from devices.charger(config)
@@ -41,3 +44,29 @@ def port(config: SiteConfig) -> Finding:
             "Check the model against a real inlet's CAD (`portdock locate --model FILE`) before docking.",
         )
     return ok("port", f"{name} is known to a tenth of a millimetre where contacts meet")
+
+
+AGEING = 0.8
+"""From this share of ``calibration.max_age_days`` on, a calibration is soon to be made again."""
+
+
+def calibrations(config: SiteConfig, now: datetime | None = None) -> Iterator[Finding]:
+    """Are the calibrations in force sound, of these devices, and young enough?"""
+    now = now or datetime.now(UTC)
+    found = examine_calibrations(config, now=now)
+    if "hand-eye" not in {one.slot for one in found}:
+        fix = "portdock calibrate hand-eye --target sphere; docs/calibration.md says how."
+        yield warn("calibration", "hand-eye: none measured, the site file's T_flange_scanner is used", fix)
+    for one in found:
+        if one.problem is not None or one.calibration is None:
+            problem = one.problem
+            yield fail(
+                "calibration", "" if problem is None else problem.cause, "" if problem is None else problem.remedy
+            )
+            continue
+        age_days, limit_days = one.calibration.age_days(now), config.calibration.max_age_days
+        text = f"{one.slot}: {age_days:.0f} days old, 1 sigma {one.calibration.sigma_mm:.2f} mm"
+        if age_days > AGEING * limit_days:
+            yield warn("calibration", f"{text}; refused from {limit_days:g} days on", "Calibrate again soon.")
+        else:
+            yield ok("calibration", text)
