@@ -73,7 +73,7 @@ class MockCell:
             )
             self._start("charger", [*folder, *self._charger_options()])
             for process in self._processes:
-                _await_ready(process)
+                _await_ready(process, MOCK_START_S * max(1.0, self._base.host.stall_ms / 2000.0))
         except BaseException:
             self._stop()
             raise
@@ -211,10 +211,10 @@ def _free(host: str, port: int) -> bool:
         return True
 
 
-def _await_ready(process: subprocess.Popen[str]) -> dict[str, object]:
+def _await_ready(process: subprocess.Popen[str], longest_s: float) -> dict[str, object]:
     """The JSON line that a mock prints when it listens. Raises LinkOpenError."""
     assert process.stdout is not None
-    end_s = time.monotonic() + MOCK_START_S
+    end_s = time.monotonic() + longest_s
     with selectors.DefaultSelector() as selector:
         selector.register(process.stdout, selectors.EVENT_READ)
         while time.monotonic() < end_s:
