@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass
 from typing import Protocol
@@ -54,7 +54,7 @@ CAUSE_TICKS = 25
 class Locator(Protocol):
     """Perception in its worker process."""
 
-    def submit(self, cloud: Cloud, prior: Prior) -> Future[PortEstimate]: ...
+    def submit(self, clouds: Sequence[Cloud], prior: Prior) -> Future[PortEstimate]: ...
 
 
 class CommandLog(Protocol):
@@ -85,6 +85,8 @@ class Cell:
     """The port pose that the gate holds motions against once there is a plan."""
     car: Car | None = None
     """What listens to the vehicle's own protocol, where the site has it."""
+    on_sweep: Callable[[int, float, float], None] = lambda profiles, arm_first_s, arm_last_s: None
+    """Told what each sweep was made of (``Recorder.swept``)."""
     _request_sequence: int = 0
 
     # --- commands

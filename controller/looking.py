@@ -17,7 +17,7 @@ from controller.sweep import SweepError
 from controller.sweeping import ProgressReport, run_sweep
 from perception.errors import InputError, PortdockError
 from perception.estimate import PortEstimate, Prior
-from perception.scan import Cloud, merge
+from perception.scan import Cloud
 
 log = logging.getLogger(__name__)
 
@@ -75,15 +75,15 @@ class Looking:
         """All scans merged; if that is refused, the newest alone. None when the last scan could not be used."""
         if self.problem or not self._clouds:
             return None
-        estimate = self._ask(merge(self._clouds))
+        estimate = self._ask(self._clouds)
         if not estimate.accepted and len(self._clouds) > 1:
-            alone = self._ask(self._clouds[-1])
+            alone = self._ask(self._clouds[-1:])
             return alone if alone.accepted else estimate
         return estimate
 
-    def _ask(self, cloud: Cloud) -> PortEstimate:
+    def _ask(self, clouds: list[Cloud]) -> PortEstimate:
         """Perception works in its own process; the tick goes on meanwhile."""
-        future = self._cell.locator.submit(cloud, self._prior())
+        future = self._cell.locator.submit(clouds, self._prior())
         self._cell.supervisor.wait(future.done)
         try:
             return future.result()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import multiprocessing
 import os
+from collections.abc import Sequence
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
@@ -17,7 +18,7 @@ from perception.estimate import PortEstimate, Prior
 from perception.geometry import Array
 from perception.locate import locate
 from perception.port_model import PortModel
-from perception.scan import Cloud
+from perception.scan import Cloud, merge
 
 NICE = 5
 
@@ -52,9 +53,9 @@ class PerceptionWorker:
         except BrokenProcessPool as error:
             raise PerceptionError("the perception process ended before it was ready") from error
 
-    def submit(self, cloud: Cloud, prior: Prior) -> Future[PortEstimate]:
-        """Locate the port in a cloud."""
-        return self._pool.submit(_locate, cloud, prior)
+    def submit(self, clouds: Sequence[Cloud], prior: Prior) -> Future[PortEstimate]:
+        """Locate the port in one scan or in several of it, all in the frame of the prior."""
+        return self._pool.submit(_locate, tuple(clouds), prior)
 
     def close(self) -> None:
         """End the process. Idempotent."""
@@ -73,5 +74,6 @@ def _prepare(name: str) -> PreparedModel:
     return PreparedModel(_Kept.model.checksum, _Kept.model.surface.points.astype(np.float64))
 
 
-def _locate(cloud: Cloud, prior: Prior) -> PortEstimate:
-    return locate(cloud, _Kept.model, prior)
+def _locate(clouds: tuple[Cloud, ...], prior: Prior) -> PortEstimate:
+    """The arm says where each scan was taken: as they come, they lie in one frame."""
+    return locate(merge(clouds), _Kept.model, prior)

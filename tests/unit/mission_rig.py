@@ -6,7 +6,7 @@ real ones.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -308,7 +308,7 @@ class StandInLooking:
 class StandInLocator:
     """Never asked: ``StandInLooking`` answers."""
 
-    def submit(self, cloud: Cloud, prior: Prior) -> Future[PortEstimate]:
+    def submit(self, clouds: Sequence[Cloud], prior: Prior) -> Future[PortEstimate]:
         raise AssertionError("not used")
 
 
