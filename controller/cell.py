@@ -16,6 +16,7 @@ from controller.commands import (
     Command,
     Comply,
     Laser,
+    Motion,
     MoveJoints,
     MoveLinear,
     MoveVelocity,
@@ -25,7 +26,7 @@ from controller.commands import (
 )
 from controller.faults import FaultCode, MissionFault
 from controller.planning import ReachCheck
-from controller.safety import Limits, Situation, check
+from controller.safety import Limits, Situation, check, makes_safe
 from controller.states import State
 from controller.supervisor import Supervisor
 from drivers.base import (
@@ -92,7 +93,13 @@ class Cell:
     # --- commands
 
     def do(self, command: Command) -> None:
-        """Ask the gate, then the driver. Raises MissionFault (gate-refused) or what the driver's refusal means."""
+        """Ask the gate, then the driver. Raises MissionFault: gate-refused, what a driver's refusal means, or the trip.
+
+        After a trip nothing is given but what makes safe. A trip that comes while a motion is being given may have sent
+        its stop before it: the arm is stopped once more.
+        """
+        if not makes_safe(command):
+            self._raise_trip()
         refusal = check(command, self.situation(), self.limits)
         name, detail = type(command).__name__, _described(command)
         self.records.command(name, detail, refusal is None, "" if refusal is None else str(refusal))
@@ -104,6 +111,13 @@ class Cell:
             raise MissionFault(_LINK_OF.get(type(command), FaultCode.ARM_LINK_LOST), error.cause) from error
         except PortdockError as error:
             raise self.explained(FaultCode.MOTION_FAILED, error.cause) from error
+        if isinstance(command, Motion) and self.supervisor.trip is not None:
+            self.arm.stop()
+            self._raise_trip()
+
+    def _raise_trip(self) -> None:
+        if (trip := self.supervisor.trip) is not None:
+            raise MissionFault(trip.code, trip.detail)
 
     def explained(self, code: FaultCode, detail: str) -> MissionFault:
         """The fault, or the one behind it: a stop or a lost link shows in what it makes fail before a tick names it."""

@@ -101,6 +101,16 @@ def check(command: Command, now: Situation, limits: Limits) -> Refusal | None:
             return _check_motion(command, now, limits)
 
 
+def makes_safe(command: Command) -> bool:
+    """Whether a command can only make things safer: allowed after a trip, in every state, and blindly."""
+    match command:
+        case StopMotion() | Announce(pose=None) | Laser(on=False):
+            return True
+        case AskCharger(request=request):
+            return request in _ALWAYS
+    return False
+
+
 # --- charger requests -----------------------------------------------------------------------------------------------
 
 _ALWAYS = frozenset({ChargerRequest.NONE, ChargerRequest.STOP_POWER, ChargerRequest.ABORT})

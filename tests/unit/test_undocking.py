@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import time
 from collections.abc import Callable
 from pathlib import Path
 
@@ -16,7 +17,7 @@ from controller.states import State
 from controller.task import Goal
 from drivers.base import ChargerRequest, Heartbeat, LinkOpenError, PlugLock, Proximity, SafetyMode
 from perception.geometry import Pose
-from tests.unit.mission_rig import MATED_DEPTH_M, Rig
+from tests.unit.mission_rig import CLOCK, MATED_DEPTH_M, Rig
 
 DOCKED = ["SELF_CHECK", "READY", "STAGING", "SCANNING", "LOCATING", "APPROACHING", "INSERTING", "VERIFYING", "CHARGING"]
 UNDOCKED = ["RELEASING", "RETREATING", "READY"]
@@ -239,6 +240,55 @@ def test_a_stop_while_docked_and_at_rest_takes_the_plug_out(tmp_path: Path) -> N
     run_with(rig, Patient(rig, Goal.DOCK, rig.supervisor.request_stop))
     assert kinds(rig.watch.outcomes) == ["charging", "stopped"]
     assert rig.watch.states[-4:] == [*UNDOCKED, "OFFLINE"] and rig.arm.depth_m < 0.0
+
+
+EVERY_STATE = [
+    "SELF_CHECK", "READY", "STAGING", "SCANNING", "LOCATING", "APPROACHING", "INSERTING", "VERIFYING", "CHARGING",
+    "RELEASING", "RETREATING", "HOLD",
+]  # fmt: skip
+INTERRUPTIONS: dict[str, tuple[Callable[[Rig], None], FaultCode]] = {
+    "abort": (lambda rig: rig.supervisor.request_abort(), FaultCode.ABORTED),
+    "e-stop at the robot": (
+        lambda rig: setattr(rig.arm, "safety", SafetyMode.ROBOT_ESTOP),
+        FaultCode.EMERGENCY_STOP,
+    ),
+    "e-stop at the charger": (lambda rig: rig.charger.forced.update(estop=True), FaultCode.EMERGENCY_STOP),
+}
+
+
+@pytest.mark.parametrize("state", EVERY_STATE)
+@pytest.mark.parametrize("name", list(INTERRUPTIONS))
+def test_an_abort_or_e_stop_in_any_state_latches_and_nothing_is_commanded_after_it(
+    tmp_path: Path, state: str, name: str
+) -> None:
+    rig = Rig(tmp_path)
+    interrupt, expected = INTERRUPTIONS[name]
+    tripped_after: list[int] = []
+
+    def act() -> None:
+        interrupt(rig)
+        deadline = CLOCK.now_s() + 10.0
+        while rig.supervisor.trip is None and CLOCK.now_s() < deadline:
+            time.sleep(0.001)
+        tripped_after.append(len(rig.arm.moves))
+
+    entered: list[str] = []
+
+    def on_state(name: str) -> None:
+        entered.append(name)
+        if state == "HOLD" and name == "SCANNING":
+            rig.arm.safety = SafetyMode.SAFEGUARD_STOP
+        if name == state and entered.count(state) == 1:
+            act()
+
+    rig.watch.on_state = on_state
+    outcome = rig.run()
+    assert (outcome.kind, code(outcome)) == ("fault", expected)
+    assert rig.watch.states[-2:] == [state, "FAULT"]
+    assert set(rig.arm.moves[tripped_after[0] :]) <= {"stop"} and rig.arm.moves[-1] == "stop"
+    live = {ChargerRequest.ENABLE_POWER, ChargerRequest.UNLOCK_PLUG}
+    assert rig.charger.requests[-1] is ChargerRequest.ABORT
+    assert not (live & set(rig.charger.requests) and state in ("SELF_CHECK", "STAGING", "SCANNING", "LOCATING"))
 
 
 # --- a start with a plug in the port ----------------------------------------------------------------------------------
