@@ -107,6 +107,7 @@ class ControlChannel:
         controller, arm = self._controller, self._controller.arm
         return {
             "time_s": controller.time_s,
+            "moved_s": controller.moved_s,
             "q": arm.q.tolist(),
             "qd": arm.qd.tolist(),
             "tcp": controller.tcp_pose.tolist(),

@@ -72,6 +72,8 @@ class Controller:
         self.watched: str | None = None
         self.watchdog_timeout_s = 0.0
         self.peak_force_n = 0.0
+        self.moved_s = 0.0
+        """Emulated time at which the arm moved last."""
         self._tcp_pose: Array | None = None
         self._tool_speed: Array | None = None
         self.on_kick: Callable[[], None] = lambda: None
@@ -278,6 +280,8 @@ class Controller:
             log.warning("motion ended: %s", error)
             self.stop_program()
         self._forget_pose()
+        if not self.arm.steady:
+            self.moved_s = self.time_s
         force_n = float(np.linalg.norm(self.arm.true_wrench[:3]))
         self.peak_force_n = max(self.peak_force_n, force_n)
         if force_n > self.max_force_n:
