@@ -12,6 +12,7 @@ import logging
 import statistics
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -19,12 +20,13 @@ import pytest
 from controller.states import State
 from controller.supervisor import Sources, Supervisor
 from drivers.arm.ur import UrArm
-from drivers.base import ChargerRequest, MonotonicClock
+from drivers.base import ArmState, ChargerRequest, MonotonicClock
 from drivers.charger.contract import Contract
 from drivers.charger.messages import decode_status
 from tests.arm_rig import MockController, settings, until
 from tests.benchmarks.test_arm_timing import BareSleeps, QuietScanner, perception_like_load
-from tests.contract.charger_bench import PATIENT, QUICK, Bench, MockProcess
+from tests.contract.charger_bench import QUICK, Bench, MockProcess
+from tests.unit.test_interlocks import ARM
 
 pytestmark = [pytest.mark.benchmark_ratio, pytest.mark.timeout(1800)]
 log = logging.getLogger(__name__)
@@ -38,37 +40,60 @@ STOP_LINEAR = 33
 HEARTBEAT, STATUS = Contract()["RC_Heartbeat"], Contract()["CH_Status"]
 
 
-class Cell:
-    """Supervisor, both drivers and both mocks."""
+class QuietArm:
+    """Always at rest."""
 
-    def __init__(self, folder: Path) -> None:
-        self.charger = MockProcess(folder, PATIENT, QUICK)
-        self.link = Bench(self.charger)
-        self.mock_arm = MockController("--rate", "500")
-        self.arm = UrArm(settings(self.mock_arm.host, frequency_hz=500.0, watchdog_hz=0.5, patience=5.0))
-        self.arm.open()
+    def state(self) -> ArmState:
+        return ARM
+
+    def stop(self) -> None: ...
+    def kick_watchdog(self) -> None: ...
+
+
+class Cell:
+    """Supervisor, the charger's driver and its mock, and an arm."""
+
+    def __init__(self, folder: Path, arm: Any) -> None:
+        self.arm = arm
+        self.charger = MockProcess(folder, "--lost-ms=5000", QUICK)
+        self.link = Bench(self.charger, degraded_s=3.0, lost_s=5.0)
         self.link.charger.open()
-        sources = Sources(self.arm, self.link.charger, QuietScanner())  # type: ignore[arg-type]
+        sources = Sources(arm, self.link.charger, QuietScanner())  # type: ignore[arg-type]
         clock = MonotonicClock()
         self.supervisor = Supervisor(sources, clock, clock, stall_s=10.0)
         self.link.charger.alert(self.supervisor.wake)
         self.supervisor.start()
-        until(lambda: not self.link.charger.status().motion_inhibit, "the charger hears the robot")
+        until(lambda: not self.link.charger.status().motion_inhibit, "the charger hears the robot", 60.0)
         self.supervisor.enter(State.READY, None)
 
     def close(self) -> None:
         self.supervisor.close()
-        self.arm.close()
-        self.mock_arm.close()
         self.link.close()
         self.charger.stop()
 
 
 @pytest.fixture
-def cell(tmp_path: Path) -> Iterator[Cell]:
-    made = Cell(tmp_path)
+def mock_arm() -> Iterator[MockController]:
+    made = MockController()
     yield made
     made.close()
+
+
+@pytest.fixture
+def cell(tmp_path: Path) -> Iterator[Cell]:
+    made = Cell(tmp_path, QuietArm())
+    yield made
+    made.close()
+
+
+@pytest.fixture
+def cell_with_arm(tmp_path: Path, mock_arm: MockController) -> Iterator[Cell]:
+    arm = UrArm(settings(mock_arm.host, watchdog_hz=0.5, patience=10.0, freshness_s=10.0))
+    arm.open()
+    made = Cell(tmp_path, arm)
+    yield made
+    made.close()
+    arm.close()
 
 
 def p99(values: list[float]) -> float:
@@ -96,30 +121,31 @@ def test_the_heartbeat_keeps_its_period(cell: Cell) -> None:
         return [f.time_s for f in list(frames) if f.direction == "tx" and f.arbitration_id == HEARTBEAT.arbitration_id]
 
     with perception_like_load(), BareSleeps() as sleeps:
-        until(lambda: len(sent()) > 40, "heartbeats go out")
+        until(lambda: len(sent()) > 40, "heartbeats go out", 60.0)
         frames.clear()
         until(lambda: len(sent()) > BEATS, "a minute of heartbeats", 5.0 * BEATS * PERIOD_S)
         times_s = sent()
     assert cell.supervisor.trip is None
     periods_s = [later - earlier for earlier, later in itertools.pairwise(times_s)]
-    assert statistics.mean(periods_s) == pytest.approx(PERIOD_S, rel=0.02)
+    assert abs(statistics.mean(periods_s) - PERIOD_S) < 0.001 + statistics.mean(sleeps.lateness_s)
     judge("heartbeat jitter", [abs(period_s - PERIOD_S) for period_s in periods_s], sleeps, JITTER_ALLOWANCE_S)
 
 
-def test_an_emergency_stop_on_can_reaches_the_arm_at_once(cell: Cell) -> None:
+def test_an_emergency_stop_on_can_reaches_the_arm_at_once(cell_with_arm: Cell, mock_arm: MockController) -> None:
+    cell = cell_with_arm
     home, latencies_s = cell.arm.state().T_base_tcp, []
     with perception_like_load(), BareSleeps() as sleeps:
         for number in range(TRIALS):
-            cell.arm.move_linear(home.moved([0.0, 0.0, -0.1 * (number % 2)]), 0.03, 0.5)
-            until(lambda: cell.arm.state().moving, "the arm moves")
+            cell.arm.move_linear(home.moved([0.0, 0.0, -0.15 if number % 2 else -0.05]), 0.03, 0.5)
+            until(lambda: cell.arm.state().moving, "the arm moves", 60.0)
             cell.link.log.frames.clear()
             cell.charger.control(estop=True)
-            until(lambda: cell.supervisor.trip is not None, "the supervisor trips")
+            until(lambda: cell.supervisor.trip is not None, "the supervisor trips", 60.0)
             received_s = _received_s(cell)
-            latencies_s.append(_stopped_s(cell, received_s) - received_s)
+            latencies_s.append(_stopped_s(mock_arm, received_s) - received_s)
             cell.charger.control(estop=False)
             _reset(cell)
-            until(lambda: not cell.arm.state().moving, "the arm stands still")
+            until(lambda: not cell.arm.state().moving, "the arm stands still", 60.0)
     judge("emergency stop received to stop command", latencies_s, sleeps, STOP_ALLOWANCE_S)
 
 
@@ -131,24 +157,26 @@ def _received_s(cell: Cell) -> float:
     raise AssertionError("tripped by something else")
 
 
-def _stopped_s(cell: Cell, since_s: float) -> float:
+def _stopped_s(mock_arm: MockController, since_s: float) -> float:
     """When the stop command reached the mock arm."""
     found: list[float] = []
 
     def seen() -> bool:
-        commands = cell.mock_arm.do("commands")["commands"]
+        commands = mock_arm.do("commands")["commands"]
         found[:] = [at_s for at_s, number in commands if number == STOP_LINEAR and at_s > since_s]
         return bool(found)
 
-    until(seen, "the stop command arrives")
+    until(seen, "the stop command arrives", 60.0)
     return found[0]
 
 
 def _reset(cell: Cell) -> None:
     """The operator's part: the charger's fault is reset, then the supervisor's."""
     charger = cell.link.charger
-    until(lambda: not charger.status().estop, "the emergency stop is released")
+    until(lambda: not charger.status().estop, "the emergency stop is released", 60.0)
     number = charger.request(ChargerRequest.RESET_FAULT)
-    until(lambda: charger.result(number).name not in ("PENDING", "ACCEPTED", "BUSY"), "the charger's fault is reset")
-    until(lambda: not charger.status().motion_inhibit, "the charger permits motion")
+    until(
+        lambda: charger.result(number).name not in ("PENDING", "ACCEPTED", "BUSY"), "the charger's fault is reset", 60.0
+    )
+    until(lambda: not charger.status().motion_inhibit, "the charger permits motion", 60.0)
     cell.supervisor.reset()
