@@ -1,0 +1,57 @@
+"""``portdock dry-run`` with the mock charger on a kernel interface, and with patience for a kernel in slow motion.
+
+The same code as the command line's; only the limits of the host are wider than a site file may set them. Arguments: the
+interface and channel of the charger's bus as INTERFACE:CHANNEL, and the folder for recording and report. Prints the
+result as one JSON object.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+import tempfile
+from pathlib import Path
+
+from controller.cli.dry_run import can_bus, for_mocks, profile_rate
+from controller.cli.progress import make_display
+from controller.config import SiteConfig, load_config
+from controller.mock_cell import MockCell
+from controller.port_files import load_port
+from controller.scenarios import draw_scenario
+from controller.session import run_session
+
+PROFILE_RATE_HZ, SWEEP_MM_S = 5.0, 5.0
+"""The ray-caster shares one slow processor with everything else."""
+PATIENCE: dict[str, dict[str, object]] = {
+    "scan": {"speed_mm_s": SWEEP_MM_S},
+    "arm": {"freshness_ms": 60_000.0, "watchdog_hz": 0.02},
+    "charger": {"degraded_ms": 50_000.0, "lost_ms": 60_000.0, "ack_timeout_ms": 20_000.0},
+    "scanner": {"silence_ms": 60_000.0, "sync": "shared_clock"},
+    "host": {"stall_ms": 60_000.0},
+    "insertion": {"contact_speed_mm_s": 3.0, "speed_limit_mm_s": 5.0},
+    "mission": {"charge_s": 2.0},
+}
+
+
+def patient(site: SiteConfig) -> SiteConfig:
+    """Wider than the configuration's own bounds: nothing real moves."""
+    changes = PATIENCE | {"deadlines": dict.fromkeys(type(site.deadlines).model_fields, 3600.0)}
+    return site.model_copy(
+        update={name: getattr(site, name).model_copy(update=update) for name, update in changes.items()}
+    )
+
+
+def main() -> None:
+    """One mission."""
+    can, folder = can_bus(sys.argv[1]), Path(sys.argv[2])
+    site = patient(for_mocks(load_config()))
+    world = draw_scenario("nominal", site, load_port(site.port.model), 0)
+    folder.mkdir(parents=True)
+    with make_display(quiet=True) as display, tempfile.TemporaryDirectory(prefix="portdock-") as wires:
+        with MockCell(Path(wires), site, world, 0, 1.0, can, profile_rate(PROFILE_RATE_HZ)) as cell:
+            summary = run_session(cell.config, folder, display, heartbeat_mode=1, truth=world.T_base_port)
+    sys.stdout.write(json.dumps(summary.to_json()) + "\n")
+
+
+if __name__ == "__main__":
+    main()
