@@ -47,9 +47,12 @@ def main() -> None:
     site = patient(for_mocks(load_config()))
     world = draw_scenario("nominal", site, load_port(site.port.model), 0)
     folder.mkdir(parents=True)
-    with make_display(quiet=True) as display, tempfile.TemporaryDirectory(prefix="portdock-") as wires:
-        with MockCell(Path(wires), site, world, 0, 1.0, can, profile_rate(PROFILE_RATE_HZ)) as cell:
-            summary = run_session(cell.config, folder, display, heartbeat_mode=1, truth=world.T_base_port)
+    with (
+        make_display(quiet=True) as display,
+        tempfile.TemporaryDirectory(prefix="portdock-") as wires,
+        MockCell(Path(wires), site, world, 0, 1.0, can, profile_rate(PROFILE_RATE_HZ)) as cell,
+    ):
+        summary = run_session(cell.config, folder, display, heartbeat_mode=1, truth=world.T_base_port)
     sys.stdout.write(json.dumps(summary.to_json()) + "\n")
 
 
