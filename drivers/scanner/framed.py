@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import threading
 from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass
 
 from drivers.base import ByteSink, Clock, LinkHealth, LinkLostError
@@ -42,12 +43,14 @@ class FramedScanner:
         timeouts: FramedTimeouts | None = None,
         *,
         queue_profiles: int = 8192,
+        connect: Callable[[SerialSettings, ByteSink, Callable[[bytes, int], None]], SerialLink] = SerialLink,
     ) -> None:
+        """``connect``: what makes the line; a replay gives one that plays recorded bytes."""
         self._settings = settings
         self._layout = layout
         self._clock = clock
         self._timeouts = timeouts or FramedTimeouts()
-        self._link = SerialLink(settings, sink, self._on_bytes)
+        self._link = connect(settings, sink, self._on_bytes)
         self._parser = FrameParser(layout)
         self._profiles: deque[Profile] = deque(maxlen=queue_profiles)
         self._changed = threading.Condition()

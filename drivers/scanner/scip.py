@@ -227,7 +227,7 @@ class ScipScanner:
         if self._geometry is None or not reply.lines or reply.echo[:2] != self._stream_code():
             self._refused += 1
             return
-        ticks = codec.decode(reply.lines[:1], 4)
+        ticks = codec.decode_one(reply.lines[0], 4)
         width = 2 if self._settings.two_characters else 3
         values = codec.decode(reply.lines[1:], width)
         first, last = self._steps()
@@ -235,13 +235,14 @@ class ScipScanner:
         if ticks is None or values is None or len(values) != count * (2 if self._settings.intensity else 1):
             self._refused += 1
             return
-        device_s = self._time.seconds(int(ticks[0]), host_s)
-        columns = values.reshape(count, -1)
-        ranges_mm = columns[:, 0]
-        seen = (ranges_mm >= self.geometry.min_range_mm) & (ranges_mm <= self.geometry.max_range_mm)  # below: errors
-        points = (ranges_mm * 1e-3)[seen, None] * self._directions(count, first)[seen]
-        light = columns[seen, 1].astype(np.float64) if self._settings.intensity else None
-        self._profiles.append(Profile(self._number, host_s, device_s, points, light, np.count_nonzero(seen) / count))
+        device_s = self._time.seconds(ticks, host_s)
+        ranges_mm = values[::2] if self._settings.intensity else values
+        least, most = self.geometry.min_range_mm, self.geometry.max_range_mm
+        seen = np.flatnonzero((ranges_mm >= least) & (ranges_mm <= most))  # below: error codes
+        points = self._directions(count, first).take(seen, axis=0)
+        points *= (ranges_mm.take(seen) * 1e-3)[:, None]
+        light = values[1::2].take(seen).astype(np.float64) if self._settings.intensity else None
+        self._profiles.append(Profile(self._number, host_s, device_s, points, light, len(seen) / count))
         self._last_good_s = host_s
 
     def _directions(self, count: int, first: int) -> Array:

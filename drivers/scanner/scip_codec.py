@@ -128,6 +128,16 @@ def decode(lines: tuple[bytes, ...], characters: int) -> Ints | None:
     return values
 
 
+def decode_one(text: bytes, characters: int) -> int | None:
+    """The one number that ``text`` holds; None where it holds something else."""
+    if len(text) != characters or not all(0x30 <= character <= 0x6F for character in text):
+        return None
+    value = 0
+    for character in text:
+        value = value << 6 | character - 0x30
+    return value
+
+
 def parameters(reply: Reply) -> tuple[tuple[str, str], ...]:
     """(key, value) of each line of a VV, PP or II reply."""
     pairs = (line.decode("ascii").rstrip(";").partition(":") for line in reply.lines)
