@@ -27,6 +27,16 @@ def read_pose(path: Path, key: str) -> Pose:
     return as_pose(content[key], f"{path.name}: {key}", remedy)
 
 
+def read_poses(path: Path, count: int) -> list[Pose]:
+    """The poses that a JSON file holds under ``poses``, one for each scan: 4x4, metres. Raises InputError."""
+    remedy = "Give a JSON file whose key 'poses' lists a 4x4 T_base_scanner in metres for each scan, in their order."
+    content = read_json(path, remedy)
+    listed = content.get("poses") if isinstance(content, dict) else None
+    if not isinstance(listed, list) or len(listed) != count:
+        raise InputError(f"{path.name} does not list {count} poses", remedy=remedy)
+    return [as_pose(value, f"{path.name}: pose {k + 1}", remedy) for k, value in enumerate(listed)]
+
+
 def read_json(path: Path, remedy: str) -> object:
     """What a JSON file holds. Raises InputError."""
     try:

@@ -11,7 +11,9 @@ import numpy as np
 from controller.reports import figures
 from controller.reports.facts import aligned, place_of, sigma
 from controller.reports.html import address, render, write_page
+from controller.reports.locate_pictures import Confirmed, confirmed, model_map
 from controller.reports.page import AMBER, GREEN, Tile
+from perception.cover import OpenCover
 from perception.estimate import PortEstimate, Prior
 from perception.port_model import PortModel
 from perception.scan import Cloud
@@ -32,12 +34,24 @@ class LocatePage:
     numbers: tuple[tuple[str, str], ...]
     aligned: str
     residuals: str
+    model_map: str
+    evidence: tuple[tuple[str, str, str], ...]
+    """Part of the inlet, share of it that is seen, median offset."""
+    rivals: tuple[str, ...]
+    """The poses that were tried and lost, best first."""
 
 
 def write_report(
-    target: Path, scan: str, cloud: Cloud, model: PortModel, estimate: PortEstimate, prior: Prior | None
+    target: Path,
+    scan: str,
+    cloud: Cloud,
+    model: PortModel,
+    estimate: PortEstimate,
+    prior: Prior | None,
+    cover: OpenCover | None = None,
 ) -> Path:
     """Write the page of one scan to ``target``, replacing an older one. Raises ReportError."""
+    found = confirmed(cloud.points, model, estimate)
     view = aligned(estimate, cloud.points, model.surface.points)
     page = LocatePage(
         headline="Located" if estimate.accepted else f"Refused: {estimate.verdict}",
@@ -48,9 +62,12 @@ def write_report(
         reasons=estimate.reasons,
         tiles=_tiles(estimate),
         pose=f"T_{estimate.ref}_port = {place_of(estimate.T_ref_port)}",
-        numbers=_numbers(cloud, estimate, prior),
+        numbers=(*_numbers(cloud, estimate, prior), *_cover_rows(cover)),
         aligned=address("png", figures.aligned_views(view)),
         residuals=address("png", figures.residuals(view)),
+        model_map=address("png", model_map(found, cover, estimate)),
+        evidence=_evidence(found),
+        rivals=_rivals(estimate),
     )
     return write_page(target, render("locate.html.j2", page))
 
@@ -74,6 +91,32 @@ def _numbers(cloud: Cloud, estimate: PortEstimate, prior: Prior | None) -> tuple
     rows += [(f"time: {step}", f"{seconds:.3f} s") for step, seconds in estimate.timings_s]
     matrix = np.array2string(estimate.T_ref_port.matrix, precision=9, suppress_small=True, max_line_width=200)
     return (*rows, ("pose as a 4x4 matrix, m", matrix))
+
+
+def _evidence(found: Confirmed) -> tuple[tuple[str, str, str], ...]:
+    rows = []
+    for name, region in found.regions:
+        if region.any():
+            share, offset_m = found.seen(region)
+            rows.append((name, f"{share:.0%}", f"{_shown(1e3 * offset_m, 3)} mm"))
+    return tuple(rows)
+
+
+def _rivals(estimate: PortEstimate) -> tuple[str, ...]:
+    """One line for each pose that was tried and lost, as far as the locator tells them."""
+    rivals = getattr(estimate, "runners_up", ())
+    return tuple(place_of(estimate.T_ref_port.inverse() @ pose) for pose in rivals)
+
+
+def _cover_rows(cover: OpenCover | None) -> tuple[tuple[str, str], ...]:
+    if cover is None:
+        return (("open cover", "none found"),)
+    x, y, z = 2e3 * np.asarray(cover.half_size_m)
+    text = (
+        f"hinged {cover.side}, opened {math.degrees(cover.opening_rad):.0f}°, seen up to {1e3 * cover.seen_m:.0f} mm"
+        f" from its hinge; box of {x:.0f} x {y:.0f} x {z:.0f} mm at {place_of(cover.T_ref_box)}"
+    )
+    return (("open cover", text),)
 
 
 def _shown(value: float, digits: int) -> str:
