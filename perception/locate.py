@@ -165,7 +165,8 @@ def _judged(
 
 def _margin(best: float, pose: Pose, ranked: list[tuple[float, Pose]]) -> float:
     """How far the best pose that is not this one scores below it, as a share of its score."""
-    others = [score for score, other in ranked if other.distance_to(pose) > 0.004 or other.angle_to(pose) > 0.2]
+    # Rolls less than 20 deg off are no others: the refinement has compared them outright.
+    others = [score for score, other in ranked if other.distance_to(pose) > 0.004 or other.angle_to(pose) > 0.35]
     if best <= 0:
         return 0.0
     return float(np.clip(1.0 - max(others, default=0.0) / best, 0.0, 1.0))

@@ -1,9 +1,7 @@
 """Which surface of the model a scan point lies on, and the equations that this gives for the pose.
 
 A point is matched by place and by the direction that the scan's surface faces there, so that a point on the rim near
-its edge stays with the rim. It gives up to two equations: its distance to the matched plane, and, where it lies beyond
-the edge at which the matched surface ends, its distance to that edge. The second kind holds the port sideways and in
-roll when it is seen straight on and shows no walls.
+its edge stays with the rim. Its distance to the matched plane is one equation; what edges add is in ``edges``.
 """
 
 from __future__ import annotations
@@ -18,11 +16,10 @@ from perception.geometry import Array, Pose
 from perception.port_model import FACING_M, PortModel
 
 MIN_COSINE = 0.7
+MIN_INCIDENCE = 0.05
+"""Walls that the laser grazes at less than this show hardly anything but mixed pixels."""
 _REACH_M = 0.003
 _NEIGHBOURS = 16
-_EDGE_SAMPLE_M = 0.0003
-_EDGE_SLACK_M = 0.0002
-"""Samples end on average this far from the edge itself."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -49,12 +46,12 @@ class Matches:
     """(N, 3) of that sample."""
     distance: Array
     """(N,) signed distance to the sample's plane."""
-    outward: Array
-    """(N, 3) unit direction from the surface's edge to the point, zero where it is not beyond one."""
-    overhang: Array
-    """(N,) how far beyond the edge the point lies, 0 where it does not."""
     kept: NDArray[np.int64]
     """(N,) numbers of the measured points."""
+    ray: Array
+    """(N, 3) from the point to where the laser stood."""
+    incidence: Array
+    """(N,) cosine between that ray and the surface's normal."""
 
 
 def measure(points: Array, origins: Array, threads: int) -> Measured:
@@ -77,13 +74,8 @@ def match(pose: Pose, measured: Measured, model: PortModel, threads: int) -> Mat
     local, facing, index = local[kept], facing[kept], index[kept]
     normal = surface.normals[index]
     ray = inverse.apply(measured.origins[kept]) - local
-    good = (np.einsum("ij,ij->i", facing, normal) > MIN_COSINE) & (np.einsum("ij,ij->i", ray, normal) > 0)
-    local, index, normal, kept = local[good], index[good], normal[good], kept[good]
-    gap = local - surface.points[index]
-    distance = np.einsum("ij,ij->i", gap, normal)
-    aside = gap - distance[:, None] * normal
-    length = np.linalg.norm(aside, axis=1)
-    beyond = (surface.edge_m[index] < _EDGE_SAMPLE_M) & (length > _EDGE_SLACK_M)
-    outward = np.where(beyond[:, None], aside / np.maximum(length, 1e-9)[:, None], 0.0)
-    overhang = np.where(beyond, length - _EDGE_SLACK_M, 0.0)
-    return Matches(local, index, normal, distance, outward, overhang, kept)
+    incidence = np.einsum("ij,ij->i", ray, normal) / np.linalg.norm(ray, axis=1)
+    good = (np.einsum("ij,ij->i", facing, normal) > MIN_COSINE) & (incidence > MIN_INCIDENCE)
+    local, index, normal, ray = local[good], index[good], normal[good], ray[good]
+    distance = np.einsum("ij,ij->i", local - surface.points[index], normal)
+    return Matches(local, index, normal, distance, kept[good], ray, incidence[good])

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
+from scipy.ndimage import distance_transform_edt
 
 from perception.geometry import Array
 from perception.surface import Surface
@@ -41,13 +41,15 @@ class NearestField:
 
 
 def build_nearest(surface: Surface, cell_m: float = CELL_M, reach_m: float = REACH_M) -> NearestField:
-    """The table for a surface."""
+    """The table for a surface: each cell takes the sample of the nearest cell that holds one, in one sweep."""
     low = surface.points.min(axis=0) - reach_m
-    shape = np.ceil((surface.points.max(axis=0) + reach_m - low) / cell_m).astype(int)
-    axes = [low[k] + (np.arange(shape[k]) + 0.5) * cell_m for k in range(3)]
-    tree = cKDTree(surface.points)
-    index = np.empty(shape, dtype=np.int32)
-    for i, x in enumerate(axes[0]):  # slab by slab: keeps memory small
-        centres = np.stack(np.meshgrid([x], axes[1], axes[2], indexing="ij"), axis=-1).reshape(-1, 3)
-        index[i] = tree.query(centres, distance_upper_bound=reach_m, workers=2)[1].reshape(shape[1:])
+    shape = np.ceil((surface.points.max(axis=0) + reach_m - low) / cell_m).astype(int) + 1
+    cell = np.floor((surface.points - low) / cell_m).astype(np.int64)
+    from_centre = np.linalg.norm(surface.points - low - (cell + 0.5) * cell_m, axis=1)
+    held = np.full(shape, -1, dtype=np.int32)
+    order = np.argsort(-from_centre)  # the sample nearest to a cell's centre is written last
+    held[tuple(cell[order].T)] = order
+    away, where = distance_transform_edt(held < 0, return_indices=True)
+    index = held[tuple(where)]
+    index[away * cell_m > reach_m] = len(surface)
     return NearestField(low, index, cell_m, len(surface))

@@ -15,11 +15,11 @@ from numpy.typing import NDArray
 
 from perception.geometry import Array
 
-DRAFT_RAD = 0.008
-SHRINK = 0.0004
+DRAFT_RAD = 0.003
+SHRINK = 0.0003
 LEVEL_M = 0.00015
 SPEED = 0.002
-VIBRATION_M = 0.00008
+VIBRATION_M = 0.00002
 EDGE_M = 0.0002
 KNOT_M = 0.008
 

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from perception.flats import Flats, build_flats
 from perception.front_map import FrontMap, build_front_map
 from perception.geometry import Array, Pose
 from perception.mesh_io import checked_mesh
@@ -23,10 +24,10 @@ from perception.surface import Surface, visible_surface
 
 _log = logging.getLogger(__name__)
 
-_VERSION = "13"
+_VERSION = "18"
 """Part of the cache key: raise it when the preparation changes."""
 SPACING_M = 0.0012
-EDGE_SPACING_M = 0.0004
+EDGE_SPACING_M = 0.0005
 USUAL_ROLL_RAD = float(np.deg2rad(15.0))
 FACING_M = 0.003
 """Millimetres of distance that a difference of one radian in facing direction counts as."""
@@ -56,6 +57,8 @@ class PortModel:
     """Look-up of the nearest sample of ``surface``."""
     front: FrontMap
     """Heights seen from the front, for local evidence."""
+    flats: Flats
+    """Where the surfaces that face along the axis end."""
     templates: Templates
     """Signed volumes for the search, at the rolls of the usual prior."""
     checksum: str
@@ -90,7 +93,8 @@ class PortModel:
             dense = visible_surface(vertices, faces)
             surface = dense.thinned(SPACING_M, EDGE_SPACING_M)
             templates = build_templates(surface, USUAL_ROLL_RAD)
-            prepared = surface, build_nearest(surface), build_front_map(dense.points), templates
+            flats = build_flats(vertices, faces)
+            prepared = surface, build_nearest(surface), build_front_map(dense.points), flats, templates
             _save(path, *prepared)
         return PortModel(
             name,
@@ -136,7 +140,7 @@ def _checksum(vertices: Array, faces: NDArray[np.int64]) -> str:
     return digest.hexdigest()
 
 
-_Prepared = tuple[Surface, NearestField, FrontMap, Templates]
+_Prepared = tuple[Surface, NearestField, FrontMap, Flats, Templates]
 
 
 def _load(path: Path) -> _Prepared | None:
@@ -150,7 +154,8 @@ def _load(path: Path) -> _Prepared | None:
             maps = (lowest, highest, distinct, archive["feature"], archive["inner"])
             front = FrontMap(archive["front_low"], *maps)
             templates = Templates(archive["rolls"], archive["template_low"], archive["templates"])
-            return surface, nearest, front, templates
+            flats = Flats(archive["flats_low"], archive["flats_heights"], archive["flats"])
+            return surface, nearest, front, flats, templates
     except FileNotFoundError:
         return None
     except Exception as error:  # a broken cache file must never stop a docking: prepare again
@@ -158,7 +163,9 @@ def _load(path: Path) -> _Prepared | None:
         return None
 
 
-def _save(path: Path, surface: Surface, nearest: NearestField, front: FrontMap, templates: Templates) -> None:
+def _save(
+    path: Path, surface: Surface, nearest: NearestField, front: FrontMap, flats: Flats, templates: Templates
+) -> None:
     """Writes beside and renames, so that two processes at once do no harm. What cannot be written is not cached."""
     scalars = (surface.visibility, surface.edge_m, surface.area_m2, surface.level)
     columns = np.column_stack([surface.points, surface.normals, *scalars])
@@ -174,6 +181,9 @@ def _save(path: Path, surface: Surface, nearest: NearestField, front: FrontMap, 
                 front=np.stack([front.lowest, front.highest, front.distinct]),
                 feature=front.feature,
                 inner=front.inner,
+                flats_low=flats.low,
+                flats_heights=flats.heights,
+                flats=flats.distance,
                 rolls=templates.rolls,
                 template_low=templates.low,
                 templates=templates.volumes,

@@ -12,32 +12,35 @@ import numpy as np
 from numpy.typing import NDArray
 
 from perception.crop import Scene
+from perception.edges import edge_rows
 from perception.errors import DegenerateCloudError
 from perception.geometry import Array, Pose
 from perception.matching import Matches, Measured, match, measure
 from perception.nuisance import Rows, columns
 from perception.port_model import PortModel
-from perception.roll import settle_roll
+from perception.sideways import settle_sideways
 
-ROUNDS = 16
-FULL_ROUNDS = 2
+ROUNDS = 10
+FULL_ROUNDS = 4
 _SUBSET = 4000
 _MIN_SCALE_M = 0.00003
 _TUKEY = 4.0
 """Points further off than this many robust standard deviations have no weight."""
 _FIRST_GATE_M = 0.0015
-_GATE_SHRINK = 0.72
-_WIDE_ROUNDS = 5
+_FIRST_SCALE_M = 0.0002
+"""Noise taken for granted before the scan's own is known."""
+_GATE_SHRINK = 0.6
 _EDGE_SIGMAS = 2.5
 """A point nearer to an edge than this many standard deviations may belong to either side."""
-_EDGE_NOISE_M = 0.0006
-_EDGE_NOISE_SIGMAS = 2.5
-"""Standard deviation of where a sampled surface seems to end: this much, and so many times the scan's noise."""
-_WALL_NOISE_M = 0.0001
+_EDGE_NOISE_M = 0.0001
+"""Standard deviation of where an edge seems to be: the scan's spacing, the part's roundings, vibration."""
+_WALL_NOISE_M = 0.00003
 """A wall is seen at grazing angles, through few points and mixed pixels: each of them is this much worse."""
-_EDGE_GATE_M = 0.0010
-_EDGE_LEAD_M = 0.0003
-_EDGES_M = 0.00005
+_EDGE_GATE_M = 0.0004
+"""A point further than this on the wrong side of an edge is something else."""
+_EDGE_LEAST_M = 0.00002
+"""Below this the least-absolute weights stop growing."""
+_EDGES_M = 0.000015
 """All edges together fix the port sideways no better than this: what makes an edge look displaced is common to many."""
 
 
@@ -83,13 +86,15 @@ def refine(start: Pose, scene: Scene, model: PortModel, *, rounds: int = ROUNDS,
         raise DegenerateCloudError("hardly any scan point lies near the port's surface")
     everything = measure(scene.points[near], scene.origins[near], threads)
     some = everything.every(max(1, len(everything.points) // _SUBSET))
-    pose, scale = settle_roll(start, some, model, threads), 0.0005
+    pose, scale = settle_sideways(start, everything, model, _FIRST_SCALE_M), 0.0005
     for round_ in range(rounds):
+        if round_ == rounds - FULL_ROUNDS:
+            pose = settle_sideways(pose, everything, model, scale, first=2, points=6_000)
         current = some if round_ < rounds - FULL_ROUNDS else everything
-        gate = _FIRST_GATE_M * _GATE_SHRINK ** max(round_ - _WIDE_ROUNDS, 0)
+        gate = _FIRST_GATE_M * _GATE_SHRINK**round_
         matches = match(pose, current, model, threads)
         scale = _robust_scale(matches.distance, previous=scale)
-        equations = _equations(pose, matches, model, scale, gate, settled=round_ > _WIDE_ROUNDS)
+        equations = _equations(pose, matches, model, scale, gate)
         if current is everything:
             equations = _with_nuisance(equations, matches, current, scene, model)
         pose = _moved(pose, _step(equations))
@@ -105,34 +110,28 @@ def _robust_scale(distance: Array, previous: float) -> float:
     return float(np.clip(1.4826 * np.median(close), max(_MIN_SCALE_M, 0.67 * previous), previous))
 
 
-def _equations(pose: Pose, matches: Matches, model: PortModel, scale: float, gate: float, *, settled: bool) -> Refined:
-    """One row for each point's distance to its surface, and one for each point beyond an edge.
-
-    Until the pose has ``settled``, edges lead: they see an error of any size, walls only one within the gate.
-    """
+def _equations(pose: Pose, matches: Matches, model: PortModel, scale: float, gate: float) -> Refined:
+    """One row for each point's distance to its surface, and one for each point or ray on the wrong side of an edge."""
     taper = np.clip(model.surface.edge_m[matches.index] / (_EDGE_SIGMAS * scale) - 0.5, 0.0, 1.0)
     wall = 1.0 - np.abs(matches.normal[:, 2])
-    wall_noise = _WALL_NOISE_M if settled else _EDGE_LEAD_M
-    weight = _tukey(matches.distance, max(_TUKEY * scale, gate)) * taper / (scale**2 + (wall_noise * wall) ** 2)
-    beyond = np.flatnonzero((matches.overhang > 0) & (np.abs(matches.distance) < max(3 * scale, gate)))
-    if settled:
-        edge_weight = _tukey(matches.overhang[beyond], _EDGE_GATE_M)
-        edge_weight /= (_EDGE_NOISE_M + _EDGE_NOISE_SIGMAS * scale) ** 2
-        edge_weight *= min(1.0, _EDGES_M**-2 / max(0.5 * float(edge_weight.sum()), 1e-9))
-    else:
-        edge_weight = _tukey(matches.overhang[beyond], 2 * _EDGE_GATE_M) / _EDGE_LEAD_M**2
+    # Range noise acts along the ray: a grazed wall is measured better across itself than a flat is.
+    sigma = np.sqrt(scale**2 * matches.incidence + (_WALL_NOISE_M * wall) ** 2)
+    weight = _tukey(matches.distance / sigma, max(_TUKEY, gate / scale)) * taper / sigma**2
+    edges = edge_rows(matches, model, scale)
+    # Least absolute, not least squares: a few false points far beyond an edge must not outvote many just beyond it.
+    edge_weight = _tukey(edges.beyond, max(_EDGE_GATE_M, gate))
+    edge_weight /= _EDGE_NOISE_M * np.maximum(np.abs(edges.beyond), _EDGE_LEAST_M)
+    edge_weight *= min(1.0, _EDGES_M**-2 / max(0.5 * float(edge_weight.sum()), 1e-9))
     planes = np.hstack([matches.normal, np.cross(matches.local, matches.normal)])
-    outward = matches.outward[beyond]
-    edges = np.hstack([outward, np.cross(matches.local[beyond], outward)])
     return Refined(
         pose,
-        np.vstack([planes, edges]),
-        np.concatenate([matches.distance, matches.overhang[beyond]]),
+        np.vstack([planes, np.hstack([edges.outward, np.cross(edges.local, edges.outward)])]),
+        np.concatenate([matches.distance, edges.beyond]),
         np.concatenate([weight, edge_weight]),
         np.zeros(6),
-        np.vstack([matches.local, matches.local[beyond]]),
+        np.vstack([matches.local, edges.local]),
         len(planes),
-        beyond,
+        edges.of,
         scale,
     )
 

@@ -46,9 +46,10 @@ class Surface:
         return len(self.points)
 
     def thinned(self, spacing_m: float, edge_spacing_m: float) -> Surface:
-        """Fewer samples, one for each cell and facing direction; denser near edges, where it matters more."""
+        """Fewer samples, one for each cell and facing direction; denser near edges and where it may be curved."""
         facing = np.round(self.normals).astype(np.int64) @ np.array([1, 3, 9])
-        spacing = np.where(self.edge_m < NEAR_EDGE_M, edge_spacing_m, spacing_m)
+        fine = (self.edge_m < NEAR_EDGE_M) | (np.abs(self.normals).max(axis=1) < 0.9999)
+        spacing = np.where(fine, edge_spacing_m, spacing_m)
         cells = np.floor(self.points / spacing[:, None]).astype(np.int64)
         key = np.column_stack([cells, facing, spacing > edge_spacing_m])
         _, keep, group = np.unique(key, axis=0, return_index=True, return_inverse=True)

@@ -1,0 +1,123 @@
+"""The port's flats: surfaces that face along its axis, level by level, with the distance to where each of them ends.
+
+Seen straight on a port shows flats and hardly a wall. What then holds it sideways and in roll is where its flats end:
+no point may lie on a flat beyond its edge, and no ray may have passed through it to a deeper one.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import distance_transform_edt
+
+from perception.geometry import Array
+
+CELL_M = 0.00015
+REACH_M = 0.003
+"""Distances are cut off here."""
+_FLAT = 0.97
+"""A surface is flat whose normal has at least this cosine with the axis."""
+_LEVEL_GAP_M = 0.0005
+_LEAST_AREA_M2 = 5e-6
+"""Less than the tip of the smallest contact is no level."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Flats:
+    """L levels on one grid of ``CELL_M`` in the port's x-y plane."""
+
+    low: Array
+    """(2,) corner of the first cell."""
+    heights: Array
+    """(L,) z of each level, rising."""
+    distance: NDArray[np.float16]
+    """(L, X, Y) signed distance in millimetres to the level's edge: negative on the flat, NaN beside the port."""
+
+    def level_at(self, z: Array) -> NDArray[np.int64]:
+        """Number of the level nearest to heights (N,); -1 where none is within half the smallest gap."""
+        if len(self.heights) == 0:
+            return np.full(len(z), -1)
+        nearest = np.abs(z[:, None] - self.heights).argmin(axis=1)
+        return np.where(np.abs(z - self.heights[nearest]) < _LEVEL_GAP_M / 2, nearest, -1)
+
+    def merged(self, gap_m: float) -> Flats:
+        """The same with levels less than ``gap_m`` apart taken as one: a noisy scan cannot tell them apart."""
+        if len(self.heights) == 0:
+            return self
+        group = np.cumsum(np.diff(self.heights, prepend=self.heights[0]) > gap_m)
+        distance = np.stack([self.distance[group == k].min(axis=0) for k in range(group[-1] + 1)])
+        heights = np.array([self.heights[group == k].mean() for k in range(group[-1] + 1)])
+        return Flats(self.low, heights, distance)
+
+    def beyond(self, level: NDArray[np.int64], xy: Array) -> tuple[Array, Array]:
+        """Signed distance (N,) from the edges of the levels (N,) at places (N, 2), and its unit gradient (N, 2).
+
+        NaN beside the port, where the vehicle may be as high as any flat. Out of reach of an edge the gradient is 0.
+        """
+        at = (xy - self.low) / CELL_M - 0.5
+        cell = np.floor(at).astype(np.int64)
+        inside = ((cell >= 0) & (cell < np.array(self.distance.shape[1:]) - 1)).all(axis=1)
+        cell[~inside] = 0
+        u, v = (at - cell).T
+        i, j = cell.T
+        corner = [self.distance[level, i + a, j + b].astype(np.float64) for a in (0, 1) for b in (0, 1)]
+        value = (1 - u) * ((1 - v) * corner[0] + v * corner[1]) + u * ((1 - v) * corner[2] + v * corner[3])
+        slope = np.column_stack(
+            [
+                (1 - v) * (corner[2] - corner[0]) + v * (corner[3] - corner[1]),
+                (1 - u) * (corner[1] - corner[0]) + u * (corner[3] - corner[2]),
+            ]
+        )
+        gradient = np.nan_to_num(slope / np.maximum(np.linalg.norm(slope, axis=1, keepdims=True), 1e-9))
+        return np.where(inside, value / 1e3, np.nan), gradient
+
+
+def build_flats(vertices: Array, faces: NDArray[np.int64]) -> Flats:
+    """The flats of a mesh, vertices (V, 3) in metres and faces (F, 3), as seen from the front."""
+    low = vertices[:, :2].min(axis=0) - REACH_M
+    shape = np.ceil((vertices[:, :2].max(axis=0) + REACH_M - low) / CELL_M).astype(int)
+    height, upright = _seen_from_front(vertices, faces, low, shape)
+    known = np.isfinite(height)
+    flat = known & (upright > _FLAT)
+    heights = _levels(height[flat])
+    distance = np.empty((len(heights), *shape), dtype=np.float16)
+    for k, level in enumerate(heights):
+        on = flat & (np.abs(height - level) < _LEVEL_GAP_M / 2)
+        signed = (distance_transform_edt(~on) - distance_transform_edt(on)) * CELL_M
+        signed -= np.sign(signed) * CELL_M / 2  # the edge lies between the cells on its two sides
+        distance[k] = np.clip(signed, -REACH_M, REACH_M) * 1e3
+        distance[k][~known] = np.nan
+    return Flats(low, heights, distance)
+
+
+def _seen_from_front(
+    vertices: Array, faces: NDArray[np.int64], low: Array, shape: NDArray[np.int64]
+) -> tuple[Array, Array]:
+    """(height, |z| of the normal), both (X, Y), of what a ray along -z meets first; NaN where nothing is."""
+    import open3d as o3d  # takes a second to import, and only preparing a model needs it
+
+    caster = o3d.t.geometry.RaycastingScene()
+    tensor = o3d.core.Tensor.from_numpy
+    caster.add_triangles(tensor(vertices.astype(np.float32)), tensor(faces.astype(np.uint32)))
+    x, y = (low[k] + (np.arange(shape[k]) + 0.5) * CELL_M for k in range(2))
+    top = float(vertices[:, 2].max()) + 0.01
+    rays = np.zeros((*shape, 6), dtype=np.float32)
+    rays[..., 0], rays[..., 1], rays[..., 2], rays[..., 5] = x[:, None], y, top, -1.0
+    answer = caster.cast_rays(tensor(rays))
+    reach = answer["t_hit"].numpy().astype(np.float64)
+    height = np.where(np.isfinite(reach), top - reach, np.nan)
+    return height, np.abs(answer["primitive_normals"].numpy()[..., 2])
+
+
+def _levels(heights: Array) -> Array:
+    """Heights (L,) at which there is enough surface; what lies within a gap of each other is one level."""
+    values, counts = np.unique(np.round(heights / (_LEVEL_GAP_M / 5)), return_counts=True)
+    values, counts = values[counts * CELL_M**2 > 1e-6], counts[counts * CELL_M**2 > 1e-6]
+    if len(values) == 0:
+        return np.zeros(0)
+    group = np.cumsum(np.diff(values, prepend=values[0]) > 3)
+    area = np.bincount(group, counts) * CELL_M**2
+    middle = np.bincount(group, counts * values) / np.bincount(group, counts) * (_LEVEL_GAP_M / 5)
+    return np.asarray(middle[area > _LEAST_AREA_M2])

@@ -1,0 +1,144 @@
+"""Place across the axis and roll of a coarsely aligned port, by trying: where the fewest points contradict its edges.
+
+Seen straight on, a port is all flats: every place and roll fits them, and only where they end (contacts, wells, key)
+tells. Height and tilt hold still here, so each point keeps its level and moves in the plane: a table look-up says
+whether it lies on a flat beyond its edge, or its ray passed through one. The rolls are compared outright, since an
+alignment that descends from a few degrees off may stop halfway.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from perception.flats import Flats
+from perception.geometry import Array, Pose
+from perception.matching import Measured
+from perception.port_model import PortModel
+
+_PASSES = (
+    (np.deg2rad(np.arange(-16.0, 16.1, 2.0)), 0.0020, 0.0010, 6),
+    (np.deg2rad(np.arange(-1.5, 1.51, 0.5)), 0.0010, 0.0003, 5),
+    (np.deg2rad(np.arange(-0.5, 0.51, 0.125)), 0.0005, 0.0001, 4),
+)
+"""(rolls around the best so far, cap, softness, steps) of each pass. A point further on the wrong side than the cap
+is something else, and says no more than one at that distance."""
+_FACING = 0.9
+_TELLS_SIGMAS = 5.0
+"""Levels nearer to each other than so many standard deviations are one level."""
+_STRIDE_M = 0.001
+_NEAR_M = 0.0025
+_THROUGH_M = 0.001
+"""A ray passed through a flat when its point lies this much deeper."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Places:
+    """Places in the port's x-y plane, each with a level that it must be on (sign +1) or off (-1)."""
+
+    xy: Array
+    level: NDArray[np.int64]
+    sign: Array
+
+    def every(self, count: int) -> _Places:
+        step = max(1, len(self.xy) // count)
+        return _Places(self.xy[::step], self.level[::step], self.sign[::step])
+
+
+def settle_sideways(
+    start: Pose, measured: Measured, model: PortModel, scale_m: float, *, first: int = 0, points: int = 2500
+) -> Pose:
+    """``start`` (T_prior_port) moved across its axis and rolled to where the least contradicts its edges.
+
+    :param scale_m: noise of the scan (1 sigma), which says how far off a level a point on it may lie.
+    :param first: the pass to begin with: 0 looks 16 degrees around, 1 and 2 closer.
+    """
+    flats = model.flats.merged(_TELLS_SIGMAS * scale_m)
+    places = _places(start, measured, flats, scale_m)
+    if len(places.xy) < 50:
+        return start
+    at = np.zeros(3)
+    for k in range(first, len(_PASSES)):
+        offsets, cap_m, soft_m, steps = _PASSES[k]
+        some = (places if k == 0 else _near_edges(places, flats, at)).every(points)
+        at = _best(some, flats, at, offsets, _Descent(cap_m, soft_m, steps))
+    return start @ Pose.from_rotvec([0.0, 0.0, at[2]], [at[0], at[1], 0.0])
+
+
+def _places(pose: Pose, measured: Measured, flats: Flats, scale_m: float) -> _Places:
+    """Points on flats, and where rays passed the levels above the flat that they ended on."""
+    inverse = pose.inverse()
+    if len(flats.heights) == 0:
+        return _Places(np.zeros((0, 2)), np.zeros(0, np.int64), np.zeros(0))
+    facing = inverse.rotate(measured.normals)[:, 2] > _FACING
+    local = inverse.apply(measured.points[facing])
+    sight = inverse.apply(measured.origins[facing]) - local
+    away = np.abs(local[:, 2:] - flats.heights)
+    level = away.argmin(axis=1)
+    on = away.min(axis=1) < 3 * scale_m
+    local, sight, level = local[on], sight[on], level[on]
+    rows = [_Places(local[:, :2], level, np.ones(len(local)))]
+    for k, height in enumerate(flats.heights):
+        deeper = local[:, 2] < height - max(_THROUGH_M, 4 * scale_m)
+        share = (height - local[deeper, 2]) / sight[deeper, 2]
+        xy = local[deeper, :2] + share[:, None] * sight[deeper, :2]
+        rows.append(_Places(xy, np.full(len(xy), k), np.full(len(xy), -1.0)))
+    xy, level, sign = (np.concatenate([getattr(row, name) for row in rows]) for name in _Places.__slots__)
+    return _Places(xy, level, sign)
+
+
+def _near_edges(places: _Places, flats: Flats, at: Array) -> _Places:
+    """Those that an edge is in reach of, from ``at``: the others say nothing about small moves."""
+    near = np.abs(flats.beyond(places.level, _seen_from(places, at))[0]) < _NEAR_M
+    return _Places(places.xy[near], places.level[near], places.sign[near])
+
+
+def _seen_from(places: _Places, at: Array) -> Array:
+    """The places (N, 2) in the frame of a port moved by (x, y, roll)."""
+    c, s = np.cos(at[2]), np.sin(at[2])
+    return np.asarray((places.xy - at[:2]) @ np.array([[c, -s], [s, c]]))
+
+
+@dataclass(frozen=True, slots=True)
+class _Descent:
+    cap_m: float
+    soft_m: float
+    """Wrong by more than this counts by its amount, by less by its square."""
+    steps: int
+
+
+def _best(places: _Places, flats: Flats, start: Array, offsets: Array, how: _Descent) -> Array:
+    """The best (x, y, roll) among rolls ``offsets`` around ``start``, each moved to its best place."""
+    found = [_moved(places, flats, start + np.array([0.0, 0.0, offset]), how) for offset in offsets]
+    costs = np.array([cost for cost, _ in found])
+    best = int(costs.argmin())
+    at = found[best][1].copy()
+    if 0 < best < len(offsets) - 1:  # the vertex of the parabola through the best roll and its neighbours
+        before, least, after = costs[best - 1 : best + 2]
+        curve = before - 2.0 * least + after
+        at[2] += 0.5 * (before - after) / curve * (offsets[1] - offsets[0]) if curve > 0 else 0.0
+    return at
+
+
+def _moved(places: _Places, flats: Flats, at: Array, how: _Descent) -> tuple[float, Array]:
+    """(cost, place) after a few steps across the axis, at the roll ``at[2]``."""
+    best, where = np.inf, at
+    for step in range(how.steps + 1):
+        distance, gradient = flats.beyond(places.level, _seen_from(places, at))
+        wrong = np.nan_to_num(np.maximum(distance * places.sign, 0.0))
+        cost = float(np.minimum(wrong, how.cap_m).sum())
+        if cost < best:
+            best, where = cost, at
+        if step == how.steps:
+            break
+        pulls = np.flatnonzero((wrong > 0) & (wrong < how.cap_m))
+        weight = 1.0 / np.maximum(wrong[pulls], how.soft_m)
+        g = gradient[pulls]
+        normal = (g * weight[:, None]).T @ g + np.eye(2) * 1e-3 * (weight.sum() + 1.0)
+        shift = np.linalg.solve(normal, (g * (weight * distance[pulls])[:, None]).sum(axis=0))
+        shift *= min(1.0, _STRIDE_M / max(float(np.linalg.norm(shift)), 1e-12))
+        c, s = np.cos(at[2]), np.sin(at[2])
+        at = at + np.array([c * shift[0] - s * shift[1], s * shift[0] + c * shift[1], 0.0])
+    return best, where
