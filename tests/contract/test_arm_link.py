@@ -121,7 +121,8 @@ def test_a_stop_from_speed_takes_the_distance_that_its_deceleration_says(rig) ->
     samples = rig.arm.history(asked.time_s)
     slowing = [sample for sample in samples if 0.005 < sample.tcp_speed[2] < 0.095]
     assert len(slowing) >= 2, "it stopped dead instead of decelerating"
-    rate = (slowing[0].tcp_speed[2] - slowing[-1].tcp_speed[2]) / (slowing[-1].device_time_s - slowing[0].device_time_s)
+    times, speeds = (np.diff([one.device_time_s for one in slowing]), np.diff([one.tcp_speed[2] for one in slowing]))
+    rate = float(np.median(-speeds / times))  # single steps: a mock that is late leaves some time out
     assert rate == pytest.approx(0.5, rel=0.3)
     assert rig.arm.state().program_running
 
