@@ -14,7 +14,7 @@ from itertools import takewhile
 import numpy as np
 from numpy.typing import NDArray
 
-Ints = NDArray[np.int64]
+Ints = NDArray[np.int32]
 
 LINE_CHARACTERS = 64
 MAX_REPLY_BYTES = 1 << 16
@@ -99,7 +99,7 @@ def _are_sound(text: bytes, count: int) -> bool:
     if len(text) != count * (LINE_CHARACTERS + 2) - 1 or text.translate(None, _PRINTABLE_AND_NEW_LINE):
         return False
     grid = np.frombuffer(text + b"\n", np.uint8).reshape(count, LINE_CHARACTERS + 2)
-    sums = (grid[:, :LINE_CHARACTERS].sum(axis=1, dtype=np.uint32) & 0x3F) + 0x30
+    sums = (grid[:, :LINE_CHARACTERS].sum(axis=1, dtype=np.uint8) & 0x3F) + 0x30  # wraps at 256: the low bits stay
     return bool((sums == grid[:, LINE_CHARACTERS]).all())
 
 
@@ -119,10 +119,10 @@ def is_sound(line: bytes) -> bool:
 def decode(lines: tuple[bytes, ...], characters: int) -> Ints | None:
     """Numbers (N,) of ``characters`` characters each from a block's lines; None where the lines do not hold such."""
     raw = np.frombuffer(b"".join(lines), np.uint8) - np.uint8(0x30)
-    if len(raw) % characters or (raw > 0x3F).any():
+    if len(raw) % characters or (len(raw) and raw.max() > 0x3F):
         return None
     digits = raw.reshape(-1, characters)
-    values: Ints = digits[:, 0].astype(np.int64)
+    values: Ints = digits[:, 0].astype(np.int32)
     for place in range(1, characters):
         values = values << 6 | digits[:, place]
     return values
