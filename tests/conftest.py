@@ -21,6 +21,7 @@ IN_REAL_TIME = (
     "test_mission.py",
     "test_undocking.py",
     "test_daemon.py",
+    "test_daemon_cli.py",
     "test_arm_worker.py",
     "test_arm_telemetry.py",
     "test_recorder.py",
