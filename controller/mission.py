@@ -82,6 +82,15 @@ class Mission:
             self._step()
         return self.now.outcome
 
+    def go_on(self, state: State, goal: Goal) -> Outcome:
+        """One job from a state of rest to its outcome: where a replay of a daemon's recording begins."""
+        self.state = state
+        self.task.desk = SingleJob(goal)
+        self.task.cell.enter(state, None)
+        while self.now.outcome is None:
+            self._step()
+        return self.now.outcome
+
     def serve(self, desk: Desk) -> None:
         """One job after the other until the desk says that the process is leaving; never raises, as above."""
         self.task.desk = desk

@@ -16,6 +16,8 @@ from typing import Protocol
 import numpy as np
 
 from controller.assembly import assemble
+from controller.calibrations.dock_log import append_dock, drift_warnings, rest_offset
+from controller.calibrations.in_force import basis_of
 from controller.cell import Cell
 from controller.config import SiteConfig, as_yaml
 from controller.faults import Outcome
@@ -31,6 +33,7 @@ from controller.reports.mission import write_report
 from controller.summary import ContactSummary, LocateSummary, MissionSummary
 from controller.task import Goal, Progress
 from drivers.base import CanFrame, MonotonicClock
+from perception.calibration.drift import Dock
 from perception.errors import PortdockError
 from perception.estimate import PortEstimate
 from perception.geometry import Pose
@@ -122,12 +125,40 @@ def run_session(
         attach_context(recorder, config, live.model, dict(notes))
         closing.enter_context(log_into(recorder))
         watcher = MissionWatcher(recorder, display)
+        record_looks(live.cell, recorder)
         mission = Mission(live.cell, config, live.T_port_tcp_mated, watcher, folder)
         mission.run()
-        summary = summary_of(mission.now, watcher.durations(live.cell.clock.now_s()), truth, folder)
+        summary = summary_of(mission.now, watcher.durations(live.cell.clock.now_s()), truth, folder, config)
         close_recording(recorder, live.cell, summary)
     prune(Path(config.recording.folder), int(config.recording.keep_mb * 1e6))
     return with_report(summary, folder)
+
+
+class Looks(Protocol):
+    """What a recorder offers for a replay: where the mission stopped waiting, what a sweep was made of."""
+
+    def waited(self, time_s: float) -> None: ...
+    def swept(self, profiles: int, arm_first_s: float, arm_last_s: float) -> None: ...
+
+
+def record_looks(cell: Cell, looks: Looks) -> None:
+    """From here on the cell tells ``looks``."""
+    cell.supervisor.on_waited = looks.waited
+    cell.on_sweep = looks.swept
+
+
+def log_dock(config: SiteConfig, job: Progress) -> tuple[str, ...]:
+    """A dock that succeeded goes into the drift log; what the chart says then."""
+    if job.T_base_tcp_mated is None or job.plan is None or job.outcome is None or job.outcome.kind != "charged":
+        return ()
+    plan, folder = job.plan, Path(config.calibration.folder)
+    offset = rest_offset(plan.T_base_port, plan.T_port_tcp_mated, job.T_base_tcp_mated)
+    basis = basis_of(config)
+    append_dock(folder, basis, Dock(Path(config.port.model).stem, offset))
+    found = drift_warnings(folder, basis)
+    for warning in found:
+        log.warning("%s", warning)
+    return found
 
 
 def close_recording(recorder: Recorder, cell: Cell, summary: MissionSummary) -> None:
@@ -162,12 +193,17 @@ def attach_context(recorder: Recorder, config: SiteConfig, model: PreparedModel,
 
 
 def summary_of(
-    job: Progress, states: tuple[tuple[str, float], ...], truth: Pose | None, folder: Path
+    job: Progress,
+    states: tuple[tuple[str, float], ...],
+    truth: Pose | None,
+    folder: Path,
+    config: SiteConfig | None = None,
 ) -> MissionSummary:
     """A job that is over, as the values that people read."""
     outcome, estimate, insertion = job.outcome, job.estimate, job.insertion
     assert outcome is not None, "the job is over"
     return MissionSummary(
+        warnings=() if config is None else log_dock(config, job),
         outcome=outcome.kind,
         fault=None if outcome.fault is None else outcome.fault.code.value,
         remedy="" if outcome.fault is None else f"{outcome.fault}. {outcome.fault.remedy}",

@@ -78,6 +78,8 @@ class Supervisor:
     ) -> None:
         """``stall_s``: a tick later than this trips what moves. ``alive`` is told with every heartbeat (systemd)."""
         self._alive = alive
+        self.on_waited: Callable[[float], None] = lambda time_s: None
+        """Told, when a wait ends, the wall time at which its end was seen: a recorder's."""
         self._stall_s = stall_s
         self._sources = sources
         self._clock = mission_clock
@@ -183,9 +185,12 @@ class Supervisor:
                     raise StopRequested
                 if self.pause is not None and (state, Event.PAUSED) in PAUSES:
                     raise PauseRequested(self.pause)
+                seen_s = self._wall.now_s()
                 if until():
+                    self.on_waited(seen_s)
                     return True
                 if end_s is not None and self._clock.now_s() >= end_s:
+                    self.on_waited(seen_s)
                     return False
                 self._changed.wait(timeout=0.1)
 

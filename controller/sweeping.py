@@ -171,6 +171,8 @@ def _take_moving(
         seen_s = _device_time_at(cell.wall.now_s(), profiles, cell.time_scale)
         cell.supervisor.wait(lambda: collector.collect() and _newest_s(profiles) >= seen_s, TRAILING_S)
     remember()
+    if states:
+        cell.on_sweep(len(profiles), states[0].time_s, states[-1].time_s)
     return profiles, states
 
 

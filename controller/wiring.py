@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -12,11 +13,13 @@ from controller.charger_config import check_can_protection
 from controller.config import SiteConfig
 from controller.config_section import ConfigError
 from controller.planning import ReachCheck
+from controller.recording.reader import Recording
 from controller.safety import Limits
 from controller.scanner_config import ScannerConfig
 from controller.scanner_files import load_scanner
 from drivers.arm.approach import why_not
 from drivers.arm.kinematics import JointLimits
+from drivers.arm.played_links import PlayedLinks, Window
 from drivers.arm.settings import UrSettings, Workspace
 from drivers.arm.ur import UrArm
 from drivers.base import Arm, Box, ByteSink, Car, Charger, Clock, MonotonicClock, Scanner
@@ -24,10 +27,13 @@ from drivers.charger.can_charger import CanCharger
 from drivers.charger.car_listener import CarListener, CarSettings
 from drivers.charger.contract import Contract
 from drivers.charger.e2e import Scheme
+from drivers.charger.played_bus import PlayedBus
 from drivers.charger.settings import CanSettings
 from drivers.charger.traffic import CanTraffic as CanTraffic
 from drivers.charger.traffic import listen_to_bus, listen_to_file
+from drivers.playback import Playback
 from drivers.scanner.framed import FramedScanner, FramedTimeouts
+from drivers.scanner.played_line import TX, PlayedLine, PlayedScanner
 from drivers.scanner.profiler2 import Profiler2, Profiler2Settings
 from drivers.scanner.scip import ScipScanner, ScipSettings
 from drivers.scanner.serial_link import SerialSettings
@@ -52,6 +58,36 @@ def build_devices(config: SiteConfig, sink: ByteSink, clock: Clock) -> Devices:
         arm=UrArm(_arm_settings(config), sink, clock),
         charger=CanCharger(_can_settings(config), clock, sink),
         car=_car_listener(config, clock),
+    )
+
+
+def build_played_devices(
+    config: SiteConfig, recording: Recording, sink: ByteSink, playback: Playback, heard_s: float
+) -> Devices:
+    """The same drivers, over stand-ins that play a recording's bytes, frames, states and results.
+
+    ``heard_s``: bus traffic up to here was heard before the mission began. Raises ConfigError and file errors.
+    """
+    scanner = config.scanner
+    if scanner.protocol != "framed":
+        raise ConfigError(
+            f"a mission with a scanner that speaks {scanner.protocol} cannot be replayed",
+            remedy="Only scanners that stream frames (scanner.protocol: framed) can.",
+        )
+    chunks = [(chunk.host_time_ns, chunk.data) for chunk in recording.scanner_chunks("rx")]
+    playback.cue(TX, [chunk.host_time_ns * 1e-9 for chunk in recording.scanner_chunks("tx")])
+    line = partial(PlayedLine, playback=playback, chunks=chunks)
+    serial, layout = SerialSettings(scanner.device, scanner.baud_rate), load_scanner(scanner.format).layout
+    timeouts = FramedTimeouts(silence_s=scanner.silence_ms / 1000.0)
+    bus = partial(PlayedBus, playback=playback, frames=recording.can_frames(), early_s=heard_s)
+    taken = [(sweep.time_s, sweep.profiles) for sweep in recording.sweeps()]
+    windows = [Window(sweep.arm_first_s, sweep.arm_last_s) for sweep in recording.sweeps()]
+    settings = _arm_settings(config)
+    links = PlayedLinks(settings, playback, recording.arm_states(), recording.arm_commands(), windows)
+    return Devices(
+        scanner=PlayedScanner(serial, layout, sink, playback, timeouts, connect=line, taken=taken),
+        arm=UrArm(settings, sink, playback, links),
+        charger=CanCharger(_can_settings(config), playback, sink, bus),
     )
 
 

@@ -22,6 +22,7 @@ from controller.cli import (
     mock,
     model,
     recording,
+    replay,
     scan,
     scanner,
     service,
@@ -56,6 +57,7 @@ app.command("soak")(soak.soak)
 app.command("locate")(locate.locate)
 app.command("merge")(merge.merge)
 app.command("states")(states.states)
+app.command("replay")(replay.replay)
 app.command("scan")(scan.scan)
 app.command("convert")(convert.convert)
 app.command("doctor")(doctor.doctor)

@@ -22,7 +22,15 @@ from controller.perception_worker import PreparedModel
 from controller.recording.log import log_into
 from controller.recording.recorder import Recorder
 from controller.recording.ring import prune
-from controller.session import RECORDING_NAME, REPORT_NAME, MissionWatcher, attach_context, close_recording, summary_of
+from controller.session import (
+    RECORDING_NAME,
+    REPORT_NAME,
+    MissionWatcher,
+    attach_context,
+    close_recording,
+    record_looks,
+    summary_of,
+)
 from controller.summary import MissionSummary
 from controller.task import Goal, Progress
 from drivers.base import ArmCommandRecord, ArmState, CanFrame, Direction, MonotonicClock
@@ -67,6 +75,7 @@ class Recordings:
     def attach(self, cell: Cell, model: PreparedModel) -> None:
         """The live cell: known only after the sink that is handed to it."""
         self._cell, self._model = cell, model
+        record_looks(cell, self)
 
     # --- a mission's life ---------------------------------------------------------------------------------------------
 
@@ -93,7 +102,7 @@ class Recordings:
         watcher = self._watcher
         if self._recorder is not None and watcher is not None and watcher.passed and self._cell is not None:
             states = watcher.durations(self._cell.clock.now_s())
-            summary = summary_of(job, states, None, self._recorder.path.parent)
+            summary = summary_of(job, states, None, self._recorder.path.parent, self._config)
         self._finish(summary)
         self._ended(outcome, job, summary)
 
@@ -178,3 +187,11 @@ class Recordings:
     def command(self, name: str, detail: str, allowed: bool, reason: str) -> None:
         if (recorder := self._recorder) is not None:
             recorder.command(name, detail, allowed, reason)
+
+    def waited(self, time_s: float) -> None:
+        if (recorder := self._recorder) is not None:
+            recorder.waited(time_s)
+
+    def swept(self, profiles: int, arm_first_s: float, arm_last_s: float) -> None:
+        if (recorder := self._recorder) is not None:
+            recorder.swept(profiles, arm_first_s, arm_last_s)

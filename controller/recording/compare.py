@@ -8,12 +8,11 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from itertools import zip_longest
-from typing import TypeVar
+from typing import Protocol, TypeVar
 
 import numpy as np
 
-from controller.recording.reader import Recording
-from controller.recording.values import Decision, Located, Transition
+from controller.recording.values import Decision, Located, Scanned, Transition
 from drivers.base import ArmCommandRecord
 
 T = TypeVar("T")
@@ -38,13 +37,29 @@ class Difference:
         return f"{self.what} {self.index + 1}: expected {self.expected}, got {self.actual}"
 
 
-def first_difference(expected: Recording, actual: Recording) -> Difference | None:
-    """The first difference; states are looked at first, because everything else follows from them."""
+class Evidence(Protocol):
+    """What is compared of a mission."""
+
+    def transitions(self) -> list[Transition]: ...
+    def scans(self) -> list[Scanned]: ...
+    def estimates(self) -> list[Located]: ...
+    def decisions(self) -> list[Decision]: ...
+    def arm_commands(self) -> list[ArmCommandRecord]: ...
+
+
+def first_difference(expected: Evidence, actual: Evidence, *, cut: bool = False) -> Difference | None:
+    """The first difference; states are looked at first, because everything else follows from them.
+
+    ``cut``: neither is complete; they are compared as far as both go. A recording that was thinned of its clouds is
+    compared without them.
+    """
+    scans = actual.scans() if expected.scans() else []
     comparisons: Iterable[Difference | None] = (
-        _compare("state", expected.transitions(), actual.transitions(), _same_transition, _say_transition),
-        _compare("estimate", expected.estimates(), actual.estimates(), _same_estimate, _say_estimate),
-        _compare("decision", expected.decisions(), actual.decisions(), _same_decision, _say_decision),
-        _compare("arm command", expected.arm_commands(), actual.arm_commands(), _same_command, _say_command),
+        _compare("state", expected.transitions(), actual.transitions(), _same_transition, _say_transition, cut),
+        _compare("scan", expected.scans(), scans, _same_scan, _say_scan, cut),
+        _compare("estimate", expected.estimates(), actual.estimates(), _same_estimate, _say_estimate, cut),
+        _compare("decision", expected.decisions(), actual.decisions(), _same_decision, _say_decision, cut),
+        _compare("arm command", expected.arm_commands(), actual.arm_commands(), _same_command, _say_command, cut),
     )
     return next((difference for difference in comparisons if difference is not None), None)
 
@@ -55,8 +70,9 @@ def _compare(
     actual: Sequence[T],
     same: Callable[[T, T], bool],
     say: Callable[[T], str],
+    cut: bool,
 ) -> Difference | None:
-    for index, (one, other) in enumerate(zip_longest(expected, actual)):
+    for index, (one, other) in enumerate(zip(expected, actual, strict=False) if cut else zip_longest(expected, actual)):
         if one is None or other is None or not same(one, other):
             texts = ("nothing" if value is None else say(value) for value in (one, other))
             return Difference(what, index, *texts)
@@ -69,6 +85,17 @@ def _same_transition(a: Transition, b: Transition) -> bool:
 
 def _say_transition(t: Transition) -> str:
     return f"{t.from_state} -> {t.to_state} ({t.event})"
+
+
+def _same_scan(a: Scanned, b: Scanned) -> bool:
+    one, other = a.cloud.points, b.cloud.points
+    return one.shape == other.shape and bool(np.allclose(one, other, rtol=0.0, atol=POSITION_TOLERANCE_M))
+
+
+def _say_scan(scanned: Scanned) -> str:
+    points = scanned.cloud.points
+    middle = ", ".join(f"{v:.4f}" for v in 1e3 * points.mean(axis=0)) if len(points) else "none"
+    return f"{len(points)} points around ({middle}) mm"
 
 
 def _same_estimate(a: Located, b: Located) -> bool:

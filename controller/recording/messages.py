@@ -25,6 +25,7 @@ from controller.recording.values import (
     Located,
     Note,
     Scanned,
+    SweepTaken,
     Transition,
 )
 from controller.summary import ContactSummary, LocateSummary, MissionSummary
@@ -139,6 +140,26 @@ def decode_link(data: bytes) -> LinkReport:
     m = json.loads(data)
     health = LinkHealth(m["up"], m["last_rx_s"], tuple(m["counters"].items()), m["detail"])
     return LinkReport(m["time_s"], m["link"], health)
+
+
+def encode_wait(time_s: float) -> bytes:
+    """Topic /wait."""
+    return _dump({"time_s": time_s})
+
+
+def decode_wait(data: bytes) -> float:
+    """Topic /wait."""
+    return float(json.loads(data)["time_s"])
+
+
+def encode_sweep(sweep: SweepTaken) -> bytes:
+    """Topic /sweep."""
+    return _dump({name: getattr(sweep, name) for name in SweepTaken.__slots__})
+
+
+def decode_sweep(data: bytes) -> SweepTaken:
+    """Topic /sweep."""
+    return SweepTaken(**json.loads(data))
 
 
 def encode_drops(drops: Drops) -> bytes:

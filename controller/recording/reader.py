@@ -35,6 +35,7 @@ from controller.recording.values import (
     Note,
     Scanned,
     ScannerChunk,
+    SweepTaken,
     Transition,
 )
 from controller.summary import MissionSummary
@@ -140,6 +141,14 @@ class Recording:
         """The mission's log."""
         with self._guard(schemas.LOG):
             return [messages.decode_note(message.data, message.time_s) for message in self.raw(schemas.LOG)]
+
+    def waits(self) -> list[float]:
+        """Times at which the mission stopped waiting for something."""
+        return self._decode(schemas.WAIT, messages.decode_wait)
+
+    def sweeps(self) -> list[SweepTaken]:
+        """What each sweep was made of."""
+        return self._decode(schemas.SWEEP, messages.decode_sweep)
 
     def drops(self) -> list[Drops]:
         """Samples that the recorder had to drop."""

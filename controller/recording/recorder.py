@@ -28,6 +28,7 @@ from controller.recording.values import (
     LinkReport,
     Located,
     Note,
+    SweepTaken,
     Transition,
 )
 from controller.summary import ContactSummary, MissionSummary
@@ -131,6 +132,15 @@ class Recorder:
         time_s = self._clock.now_s()
         wall_ns = self._file.wall_ns(to_ns(time_s))
         self._event(schemas.POINTS, time_s, lambda: messages.encode_cloud(cloud, wall_ns))
+
+    def waited(self, time_s: float) -> None:
+        """The mission stopped waiting for something, for what it knew at ``time_s``: a replay goes on there too."""
+        self._event(schemas.WAIT, time_s, lambda: messages.encode_wait(time_s))
+
+    def swept(self, profiles: int, arm_first_s: float, arm_last_s: float) -> None:
+        """What a sweep was made of, whether or not it could be used."""
+        taken = SweepTaken(self._clock.now_s(), profiles, arm_first_s, arm_last_s)
+        self._event(schemas.SWEEP, taken.time_s, lambda: messages.encode_sweep(taken))
 
     def contact(self, attempt: int, contact: ContactSummary) -> None:
         """The contact numbers of an attempt, failed or not."""

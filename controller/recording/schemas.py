@@ -120,6 +120,12 @@ LINK = _json(
         "detail": _TEXT,
     },
 )
+WAIT = _json("/wait", "portdock.Wait", {"time_s": _NUMBER})
+SWEEP = _json(
+    "/sweep",
+    "portdock.Sweep",
+    {"time_s": _NUMBER, "profiles": _COUNT, "arm_first_s": _NUMBER, "arm_last_s": _NUMBER},
+)
 DROPS = _json("/recorder/drops", "portdock.Drops", {"time_s": _NUMBER, "topic": _TEXT, "count": _COUNT})
 POINTS = _json(
     "/scan/points",
@@ -153,5 +159,6 @@ LOG = _json(
 
 TOPICS = (
     *(SCANNER_RX, SCANNER_TX, CAN, ARM, ARM_COMMAND, STATE, COMMAND, ESTIMATE, CONTACT, LINK, DROPS),
+    *(WAIT, SWEEP),
     *(POINTS, DOCK_POSE, TRANSFORM, LOG),
 )

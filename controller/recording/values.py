@@ -63,6 +63,18 @@ class Scanned:
 
 
 @dataclass(frozen=True, slots=True)
+class SweepTaken:
+    """What one sweep was made of: a replay takes the same, to the last sample."""
+
+    time_s: float
+    profiles: int
+    """Number of profiles that were fetched from the scanner."""
+    arm_first_s: float
+    arm_last_s: float
+    """Times of the first and the last arm sample that were used."""
+
+
+@dataclass(frozen=True, slots=True)
 class Contacted:
     """The contact numbers of one attempt."""
 

@@ -46,11 +46,14 @@ STOP_S = 0.5
 class UrArm:
     """One arm. All methods may be called from several threads; none but ``open``, ``close`` and ``recover`` is slow."""
 
-    def __init__(self, settings: UrSettings, sink: ByteSink | None = None, clock: Clock | None = None) -> None:
+    def __init__(
+        self, settings: UrSettings, sink: ByteSink | None = None, clock: Clock | None = None, links: Links | None = None
+    ) -> None:
+        """``links``: both links to the controller; a replay gives some that play recorded states."""
         self._settings = settings
         self._sink = sink or NullSink()
         self._clock = clock or MonotonicClock()
-        self._links = Links(settings, self._sink, self._clock)
+        self._links = links or Links(settings, self._sink, self._clock)
         self._tracker = MotionTracker()
         self._lock = threading.Lock()
         self._obstacles: tuple[Box, ...] = ()

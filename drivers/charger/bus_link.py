@@ -235,3 +235,7 @@ class BusLink:
         self.tail.add(frame)
         self._sink.can_frame(frame)
         return frame
+
+
+Connect = Callable[[CanSettings, Clock, ByteSink, Callable[[CanFrame], None], list[Filter] | None, bool], BusLink]
+"""Makes a link."""

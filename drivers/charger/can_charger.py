@@ -25,7 +25,7 @@ from drivers.base import (
     NullSink,
     RequestResult,
 )
-from drivers.charger.bus_link import EVIDENCE_S, BusLink
+from drivers.charger.bus_link import EVIDENCE_S, BusLink, Connect
 from drivers.charger.contract import Contract
 from drivers.charger.e2e import Scheme
 from drivers.charger.freshness import Liveness
@@ -39,8 +39,13 @@ _AT_ONCE = (ChargerRequest.ABORT, ChargerRequest.STOP_POWER)
 class CanCharger:
     """The charger at the other end of one CAN link. Its methods may be called from any thread."""
 
-    def __init__(self, settings: CanSettings, clock: Clock, sink: ByteSink | None = None) -> None:
-        """Load the contract. Raises InputError for a DBC that lacks messages or signals."""
+    def __init__(
+        self, settings: CanSettings, clock: Clock, sink: ByteSink | None = None, connect: Connect = BusLink
+    ) -> None:
+        """Load the contract. Raises InputError for a DBC that lacks messages or signals.
+
+        ``connect``: what makes the link; a replay gives one that plays recorded frames.
+        """
         contract = Contract(settings.dbc, settings.protection, settings.robot_address, settings.charger_address)
         self._settings, self._clock = settings, clock
         self._lock = threading.RLock()
@@ -48,7 +53,7 @@ class CanCharger:
         self._incoming = Incoming(contract, settings)
         self._outgoing = Outgoing(contract, settings)
         filters = [(codec.arbitration_id, codec.is_extended) for codec in contract.from_charger]
-        self._link = BusLink(settings, clock, sink or NullSink(), self._hear, filters, contract.is_fd)
+        self._link = connect(settings, clock, sink or NullSink(), self._hear, filters, contract.is_fd)
         self._before_loss: tuple[CanFrame, ...] = ()
         self._losses = 0
         self._alarm: Callable[[], None] = lambda: None

@@ -149,4 +149,6 @@ def _record_state(recorder: Recorder, clock: ManualClock, state: str, number: in
     if state == "LOCATING":
         recorder.scan(scan_cloud())
         recorder.estimate(estimate())
+        recorder.waited(101.5)
+        recorder.swept(250, 100.5, 101.5)
         recorder.note("info", "located the port")

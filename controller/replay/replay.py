@@ -1,0 +1,142 @@
+"""Runs a recorded mission through the controller once more and names the first difference."""
+
+from __future__ import annotations
+
+import logging
+import tempfile
+from collections.abc import Callable, Sequence
+from concurrent.futures import Future
+from dataclasses import dataclass
+from pathlib import Path
+
+from controller import wiring
+from controller.cell import Cell, Locator
+from controller.mission import Mission
+from controller.pace import PacedClock
+from controller.perception_worker import PerceptionHere
+from controller.port_files import load_port
+from controller.recording.compare import Difference, first_difference
+from controller.recording.reader import Recording
+from controller.replay.evidence import ReplayEvidence
+from controller.replay.story import Story, story_of
+from controller.replay.ticking import ReplaySupervisor
+from controller.scanner_facts import scanner_facts
+from controller.states import State
+from controller.supervisor import Sources
+from drivers.playback import EndOfRecording, Playback
+from perception.estimate import PortEstimate, Prior
+from perception.scan import Cloud
+
+log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, slots=True)
+class ReplayResult:
+    """What a replay came to."""
+
+    difference: Difference | None
+    states: tuple[str, ...]
+    outcome: str | None
+    decisions: int
+    arm_commands: int
+    estimates: int
+    ended: str
+    """Why the replay ended before its mission did; empty otherwise."""
+    complete: bool
+    """Whether the recording has an end; a cut one is compared as far as it goes."""
+
+
+class _Recorded:
+    """Perception that answers as it did: what then differs is the controller's doing."""
+
+    def __init__(self, recording: Recording, evidence: ReplayEvidence) -> None:
+        self._answers, self._evidence = recording.estimates(), evidence
+
+    def submit(self, clouds: Sequence[Cloud], prior: Prior) -> Future[PortEstimate]:
+        """The recorded answer that comes next. Raises EndOfRecording after the last."""
+        number = len(self._evidence.estimates())
+        if number >= len(self._answers):
+            raise EndOfRecording("the recording has no further estimate")
+        future: Future[PortEstimate] = Future()
+        future.set_result(self._answers[number].estimate)
+        return future
+
+
+def replay(
+    recording: Recording, show: Callable[[str], None] = lambda state: None, *, recorded_estimates: bool = False
+) -> ReplayResult:
+    """Run it. ``show`` is told each state. Raises InputError for what cannot be replayed.
+
+    ``recorded_estimates``: perception is not asked, its recorded answers are given.
+    """
+    story = story_of(recording)
+    playback = Playback(story.start_s)
+    evidence = ReplayEvidence(recording, playback)
+    evidence.show = show
+    ended = ""
+    with tempfile.TemporaryDirectory(prefix="portdock-replay-") as memory:
+        locator = _Recorded(recording, evidence) if recorded_estimates else _perception(story)
+        mission = _mission(recording, story, playback, evidence, locator, Path(memory))
+        try:
+            _run(mission, story)
+        except EndOfRecording as end:
+            ended = str(end)
+    difference = first_difference(recording, evidence, cut=not story.complete)
+    steps = evidence.transitions()
+    return ReplayResult(
+        difference=difference,
+        states=tuple(step.to_state for step in steps),
+        outcome=None if evidence.outcome is None else evidence.outcome.kind,
+        decisions=len(evidence.decisions()),
+        arm_commands=len(evidence.arm_commands()),
+        estimates=len(evidence.estimates()),
+        ended=ended,
+        complete=story.complete,
+    )
+
+
+def _run(mission: Mission, story: Story) -> None:
+    if story.state is State.OFFLINE:
+        mission.run(story.goal)
+        return
+    mission.go_on(story.state, story.goal)
+
+
+def _perception(story: Story) -> PerceptionHere:
+    perception = PerceptionHere(story.config.port.model)
+    if story.model_checksum and perception.checksum != story.model_checksum:
+        log.warning("the port model '%s' is another one than in the recording", story.config.port.model)
+    return perception
+
+
+def _mission(
+    recording: Recording,
+    story: Story,
+    playback: Playback,
+    evidence: ReplayEvidence,
+    locator: Locator,
+    memory: Path,
+) -> Mission:
+    config = story.config
+    port = load_port(config.port.model)
+    clock = PacedClock(story.pace, playback)
+    devices = wiring.build_played_devices(config, recording, evidence, playback, story.heard_s)
+    for device in (devices.charger, devices.scanner, devices.arm):
+        device.open()
+    sources = Sources(devices.arm, devices.charger, devices.scanner)
+    supervisor = ReplaySupervisor(sources, clock, playback, config.host.stall_ms / 1000.0, story)
+    cell = Cell(
+        arm=devices.arm,
+        scanner=devices.scanner,
+        charger=devices.charger,
+        locator=locator,
+        supervisor=supervisor,
+        clock=clock,
+        wall=playback,
+        limits=wiring.limits_of(config, port),
+        reach=wiring.reach_check(config, devices.arm),
+        records=evidence,
+        profile_latency_s=scanner_facts(config.scanner).latency_s,
+        time_scale=story.pace,
+    )
+    return Mission(cell, config, port.T_port_tcp, evidence, memory)

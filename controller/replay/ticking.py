@@ -1,0 +1,99 @@
+"""The supervisor of a replay: the same tick, interlocks and waits, but time passes only while the mission waits.
+
+A wait of the recording ended at a known time. Here it ends there too, if what is waited for has come by then; if it
+has not, the recording is played on, and when that goes on for too long the two have parted.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+from controller.faults import MissionFault
+from controller.replay.evidence import WAIT
+from controller.replay.story import Story
+from controller.states import PAUSES, STOPS, Event
+from controller.supervisor import TICK_S, PauseRequested, Sources, StopRequested, Supervisor
+from drivers.base import Clock
+from drivers.playback import EndOfRecording, Playback
+
+EARLY_S = 2.0
+"""What has come so much before the recording's wait ended is waited for with it."""
+PATIENCE_S = 15.0
+"""So long may something be overdue: a link's silence shows by its age only."""
+
+
+class ReplaySupervisor(Supervisor):
+    """Ticks in the mission's own thread, in recorded time."""
+
+    def __init__(
+        self, sources: Sources, mission_clock: Clock, playback: Playback, stall_s: float, story: Story
+    ) -> None:
+        super().__init__(sources, mission_clock, playback, stall_s)
+        self._playback = playback
+        self._asked = list(story.asked)
+        self._end_s = math.inf if story.complete else story.end_s
+
+    def start(self) -> None:
+        """No thread: time passes in ``wait``."""
+
+    def close(self) -> None:
+        """No thread."""
+
+    def wait(self, until: Callable[[], bool], timeout_s: float | None = None) -> bool:
+        """As in the mission, in recorded time. Raises EndOfRecording when the recording has no more to say."""
+        end_s = None if timeout_s is None else self._clock.now_s() + timeout_s
+        self._playback.skip_past_cues(WAIT)
+        recorded_s = self._playback.next_cue_s(WAIT)
+        overdue_s = min(recorded_s, self._playback.next_cue_s()) + PATIENCE_S
+        while True:
+            self._raise_interruptions()
+            timed_out = end_s is not None and self._clock.now_s() >= end_s
+            if until() or timed_out:
+                return self._let_end(until, recorded_s)
+            now_s = self._playback.now_s()
+            if now_s > overdue_s:
+                raise EndOfRecording("the mission goes on waiting where the recorded one went on")
+            self._pass_time(min(now_s + TICK_S, recorded_s) if recorded_s > now_s else now_s + TICK_S)
+
+    def _let_end(self, until: Callable[[], bool], recorded_s: float) -> bool:
+        """Stay until the recorded end of the wait if it is near, and look once more at what came meanwhile."""
+        now_s = self._playback.now_s()
+        if now_s <= recorded_s <= now_s + EARLY_S:
+            self._playback.did(WAIT)
+        return until()
+
+    def _raise_interruptions(self) -> None:
+        state = self._facts.state
+        if self._trip is not None:
+            raise MissionFault(self._trip.code, self._trip.detail)
+        if self._request.stop and (state, Event.STOP) in STOPS:
+            raise StopRequested
+        if self.pause is not None and (state, Event.PAUSED) in PAUSES:
+            raise PauseRequested(self.pause)
+
+    def wait_ticks(self, count: int) -> None:
+        """Let ``count`` ticks pass. Raises MissionFault as soon as one trips."""
+        for _ in range(count):
+            self._pass_time(self._playback.now_s() + TICK_S)
+            if self._trip is not None:
+                raise MissionFault(self._trip.code, self._trip.detail)
+
+    def idle(self, until: Callable[[], bool]) -> None:
+        """Let time pass, whatever is latched."""
+        overdue_s = self._playback.next_cue_s() + PATIENCE_S
+        while not until():
+            if self._playback.now_s() > overdue_s:
+                raise EndOfRecording("the mission rests where the recorded one went on")
+            self._pass_time(self._playback.now_s() + TICK_S)
+
+    def _pass_time(self, to_s: float) -> None:
+        if to_s > self._end_s:
+            raise EndOfRecording("the recording was cut off here")
+        self._playback.run_until(to_s)
+        while self._asked and self._asked[0].time_s <= to_s:
+            if self._asked.pop(0).abort:
+                self.request_abort()
+            else:
+                self.request_stop()
+        self._tick(0.0)
