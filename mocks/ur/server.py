@@ -25,6 +25,7 @@ log = logging.getLogger(__name__)
 
 MAX_LATE_S = 0.1
 """Wall seconds that are caught up."""
+TELL_EVERY_S = 10.0
 BATCH_S = 0.004
 """Faster than real time, the steps of so many wall seconds are taken together and the newest state is sent."""
 
@@ -56,6 +57,7 @@ class UrServer:
         self._world_time_s = world_time_s
         self._time_scale = time_scale
         self._kicked_at = time.monotonic()
+        self._told_late_s = -TELL_EVERY_S
         controller.on_kick = self._kick
         controller.on_program = self._tell_program
         commands = DashboardCommands(controller, serial_number, programs)
@@ -94,7 +96,7 @@ class UrServer:
             self.skips.append((self.controller.time_s, steps * self._dt))
             self.controller.time_s += steps * self._dt
             self.skipped_s += steps * self._dt
-            log.warning("the mock was late: %.3f emulated seconds skipped", steps * self._dt)
+            self._tell_lateness()
         self._check_watchdog()
         stepped = False
         while self._world_time_s() >= self.controller.time_s + self._dt and not stepped:
@@ -107,6 +109,13 @@ class UrServer:
                     self._poll(0.0)  # also while catching up, what clients send is read at once
         if stepped and self._time_scale > 1.0:
             self._send_states()
+
+    def _tell_lateness(self) -> None:
+        """Now and then only: whoever started the mock may not read its standard error."""
+        now_s = time.monotonic()
+        if now_s - self._told_late_s > TELL_EVERY_S:
+            self._told_late_s = now_s
+            log.warning("the mock is late: %.3f emulated seconds skipped so far", self.skipped_s)
 
     def _send_states(self) -> None:
         if time.monotonic() < self.frozen_until:
