@@ -136,6 +136,8 @@ def verify(task: Task) -> Event:
         locked = cell.supervisor.wait(lambda: cell.charger_says(lambda s: s.lock is PlugLock.LOCKED), patience_s)
         if locked:
             cell.supervisor.facts.mated = True
+            state = cell.arm_state()
+            task.now.T_base_tcp_mated, task.now.plan = None if state is None else state.T_base_tcp, task.plan
             return Event.MATED
         cell.ask(ChargerRequest.UNLOCK_PLUG, patience_s)
     cell.do(StopMotion())

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 
@@ -40,6 +41,9 @@ class Scenario:
     name: str
     T_base_port: Pose
     plain_panel: bool = False
+    target: Literal["sphere", "corner"] | None = None
+    """A calibration target in the vehicle's place."""
+    sphere_radius_m: float = 0.0254
     glare_until_sweep: int = 0
     blocked_depth_m: float | None = None
     miscalibration: Miscalibration = NONE

@@ -152,6 +152,8 @@ def log_dock(config: SiteConfig, job: Progress) -> tuple[str, ...]:
     if job.T_base_tcp_mated is None or job.plan is None or job.outcome is None or job.outcome.kind != "charged":
         return ()
     plan, folder = job.plan, Path(config.calibration.folder)
+    if config.arm.host.startswith("127.") and not folder.exists():
+        return ()  # a dry run leaves a chart only where somebody has calibrated
     offset = rest_offset(plan.T_base_port, plan.T_port_tcp_mated, job.T_base_tcp_mated)
     basis = basis_of(config)
     append_dock(folder, basis, Dock(Path(config.port.model).stem, offset))

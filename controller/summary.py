@@ -54,6 +54,8 @@ class MissionSummary:
     contact: ContactSummary | None = None
     recording: Path | None = None
     report: Path | None = None
+    warnings: tuple[str, ...] = ()
+    """What the drift chart says after this dock."""
 
     def to_json(self) -> dict[str, object]:
         """The object that ``portdock dry-run --json`` prints; numbers that are not finite become null."""
@@ -66,6 +68,7 @@ class MissionSummary:
             "contact": None if self.contact is None else _contact_json(self.contact),
             "recording": None if self.recording is None else str(self.recording),
             "report": None if self.report is None else str(self.report),
+            "warnings": list(self.warnings),
         }
 
 

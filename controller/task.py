@@ -84,6 +84,10 @@ class Progress:
     attempt: int = 1
     estimate: PortEstimate | None = None
     insertion: Insertion | None = None
+    T_base_tcp_mated: Pose | None = None
+    """Where the plug was at rest when it was mated."""
+    plan: DockPlan | None = None
+    """That it was mated by."""
     setback: Fault | None = None
     """Why the present attempt failed."""
     outcome: Outcome | None = None

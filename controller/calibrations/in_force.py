@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
 from collections.abc import Iterable
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -32,6 +34,15 @@ def device_names(config: SiteConfig) -> DeviceNames:
 def mock_names(cell: int) -> DeviceNames:
     """The devices of a mock cell: one for each draw of its errors."""
     return DeviceNames(f"mock cell {cell}", f"mock cell {cell}")
+
+
+def basis_of(config: SiteConfig) -> str:
+    """Names a cell's geometry as its effective configuration has it: what docks must share to be judged together."""
+    port = config.port.T_port_tcp
+    poses = [config.scanner.T_flange_scanner, config.arm.T_flange_tcp]
+    values = [pose.model_dump() for pose in poses] + [None if port is None else port.model_dump()]
+    mark = hashlib.sha256(json.dumps(values).encode()).hexdigest()[:12]
+    return f"{config.scanner.serial or config.arm.serial or config.arm.host} {mark}"
 
 
 def slots_of(config: SiteConfig) -> tuple[str, ...]:

@@ -83,7 +83,7 @@ def on_mock_cell(site: SiteConfig, number: int) -> SiteConfig:
     for one in found:
         if one.problem is not None:
             log.warning("not used: %s", one.problem.cause)
-    return site
+    return site.model_copy(update={"scanner": site.scanner.model_copy(update={"serial": mock_names(number).scanner})})
 
 
 def profile_rate(rate_hz: float | None) -> tuple[str, ...]:

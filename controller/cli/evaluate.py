@@ -9,10 +9,12 @@ from typing import Annotated
 import typer
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
+from controller.cli.evaluate_calibration import evaluate_calibration
 from controller.cli.evaluate_locate import evaluate_locate
 
 app = typer.Typer(help="Measure how well ports are located, against baselines and truth.", no_args_is_help=True)
 app.command("locate")(evaluate_locate)
+app.command("calibration")(evaluate_calibration)
 
 
 @app.command("method")

@@ -168,6 +168,7 @@ def result_rows(result: MissionSummary) -> list[tuple[str, str]]:
     rows: list[tuple[str, str]] = [("outcome", result.outcome)]
     if result.fault is not None:
         rows.append(("fault", result.fault))
+    rows += [("warning", warning) for warning in result.warnings]
     if result.remedy:
         rows.append(("remedy", result.remedy))
     rows.append(("attempts", str(result.attempts)))

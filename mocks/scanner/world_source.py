@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
+from mocks.scanner.calibration_targets import target_scene
 from mocks.scanner.emulated_clock import EmulatedClock
 from mocks.world.blackboard import Blackboard
 from mocks.world.spec import WorldSpec
@@ -38,7 +39,11 @@ class WorldSource:
         self._rng = rng
         vehicle_rng = np.random.default_rng(self._spec.seed)
         negative: Negative | None = "plain" if self._spec.panel == "plain" else None
-        self._scene = build_scene(SceneSpec(WorldSpec.load_shape(folder), negative), vehicle_rng)
+        shape = WorldSpec.load_shape(folder)
+        if self._spec.panel in ("sphere", "corner"):
+            self._scene = target_scene(self._spec.panel, self._spec.sphere_radius_m, shape)
+        else:
+            self._scene = build_scene(SceneSpec(shape, negative), vehicle_rng)
         self._sensor = replace(optics or SensorModel(), noise_m=self._spec.profile_noise_m)
         self._glaring = False
         self._T_port_base = self._spec.port_pose.inverse()

@@ -16,7 +16,7 @@ from perception.geometry import Pose
 from perception.port_shape import PortShape
 from perception.port_shape_json import shape_from_json, shape_to_json
 
-Panel = Literal["port", "plain"]
+Panel = Literal["port", "plain", "sphere", "corner"]
 Vector6 = tuple[float, float, float, float, float, float]
 
 
@@ -35,7 +35,9 @@ class WorldSpec:
     T_port_tcp: Vector6
     """Pose of the plug (TCP) in the port frame when it is fully mated."""
     panel: Panel = "port"
-    """``plain``: a vehicle panel without any port."""
+    """``plain``: a vehicle panel without any port. ``sphere``, ``corner``: a calibration target in its place."""
+    sphere_radius_m: float = 0.0254
+    """Of the sphere that is a calibration target."""
     glare_until_sweep: int = 0
     """The first N sweeps lose most returns near the port (sun glare): a scan that a locator must refuse."""
     blocked_depth_m: float | None = None

@@ -102,6 +102,7 @@ def sightings(scans: Sequence[Scan], max_points: int = 6000) -> Sightings:
 
 
 def _of_sweep(scan: Scan, number: int, max_points: int) -> Sightings:
+    scan = _of_growing_time(scan)
     counts = [len(profile.points) for profile in scan.profiles]
     if len(counts) < MIN_PROFILES or sum(counts) == 0:
         raise CalibrationError(f"sweep {number + 1} holds {len(counts)} profiles with {sum(counts)} points")
@@ -121,6 +122,14 @@ def _of_sweep(scan: Scan, number: int, max_points: int) -> Sightings:
         spins=_spins(rotations, times_s),
         starts=np.broadcast_to(translations[0], translations.shape),
     )
+
+
+def _of_growing_time(scan: Scan) -> Scan:
+    """Without profiles that bear the time of one before: the arm's speed between them would be infinite."""
+    times_s = np.array([profile.time_s for profile in scan.profiles])
+    newer = np.concatenate([[True], times_s[1:] > np.maximum.accumulate(times_s)[:-1]])
+    kept = [(profile, pose) for profile, pose, new in zip(scan.profiles, scan.T_base_flange, newer, strict=True) if new]
+    return Scan(tuple(profile for profile, _ in kept), tuple(pose for _, pose in kept), scan.T_flange_scanner)
 
 
 def _spins(rotations: Array, times_s: Array) -> Array:

@@ -15,15 +15,22 @@ from perception.geometry import Array
 
 def uncertainty(jacobian: Array, distances: Distances, weights: Array, seen: Sightings) -> Array:
     """Covariance (K, K) of all K columns of the Jacobian (N, K), in their own units."""
-    scale = np.sqrt(np.sum(weights[:, None] * jacobian**2, axis=0)) + 1e-300
-    j = jacobian / scale
-    weighted = j * weights[:, None]
-    normal = weighted.T @ j
-    bread = np.linalg.inv(normal + 1e-14 * np.eye(len(normal)))
-    noise = float(np.sum(weights * distances.residual**2) / max(1.0, np.sum(weights) - j.shape[1]))
-    shifts, couplings = _sweeps(weighted, distances, weights, seen, noise)
-    shift = _shift_variance(shifts, j.shape[1])
-    meat = noise * normal + shift * np.einsum("ski,sli->kl", couplings, couplings)
+    noise = float(np.sum(weights * distances.residual**2) / max(1.0, np.sum(weights) - jacobian.shape[1]))
+    squares, couplings = _sweeps(jacobian, distances, weights, seen, noise)
+    normal = (jacobian * weights[:, None]).T @ jacobian
+    return sandwich(normal, couplings, noise, _shift_variance(squares, jacobian.shape[1]))
+
+
+def sandwich(normal: Array, couplings: Array, noise: float, shift: float) -> Array:
+    """Covariance (K, K) for points with variance ``noise`` and sweeps that are shifted with variance ``shift`` an axis.
+
+    :param normal: (K, K) sum of outer products of the Jacobian's rows
+    :param couplings: (S, K, 3) how a shift of each sweep pulls at the solution
+    """
+    scale = np.sqrt(np.diag(normal)) + 1e-300
+    bread = np.linalg.inv(normal / np.outer(scale, scale) + 1e-14 * np.eye(len(normal)))
+    pulls = couplings / scale[:, None]
+    meat = noise * normal / np.outer(scale, scale) + shift * np.einsum("ski,sli->kl", pulls, pulls)
     return np.asarray(bread @ meat @ bread / np.outer(scale, scale))
 
 
@@ -34,7 +41,7 @@ def sweep_shifts(distances: Distances, weights: Array, seen: Sightings) -> Array
 
 
 def _sweeps(
-    weighted: Array, distances: Distances, weights: Array, seen: Sightings, noise: float
+    jacobian: Array, distances: Distances, weights: Array, seen: Sightings, noise: float
 ) -> tuple[Array, Array]:
     """For each sweep its shift's mean square beyond noise (S,), and how a shift pulls at the solution (S, K, 3)."""
     owner, squares, couplings = seen.sweep_of_point, [], []
@@ -42,8 +49,13 @@ def _sweeps(
         chosen = owner == sweep
         shift, spread = _shift(distances, weights, chosen)
         squares.append(float(shift @ shift - noise * np.trace(spread)) / 3.0)
-        couplings.append(weighted[chosen].T @ distances.gradient[chosen])
+        couplings.append(coupling(jacobian[chosen], weights[chosen], distances.gradient[chosen]))
     return np.array(squares), np.stack(couplings)
+
+
+def coupling(jacobian: Array, weights: Array, gradient: Array) -> Array:
+    """(K, 3) how a shift of one sweep's points pulls at the solution."""
+    return np.asarray((jacobian * weights[:, None]).T @ gradient)
 
 
 def _shift(distances: Distances, weights: Array, chosen: Array) -> tuple[Array, Array]:

@@ -1,0 +1,279 @@
+"""Hand-eye calibration on the live cell: find the target, sweep it from poses that say most, solve, check.
+
+The gate, the tick and the charger's proximity guard every motion as in a mission (``scan_session``).
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable
+from contextlib import ExitStack
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from controller.assembly import assemble
+from controller.calibrations.thinker import Thinker
+from controller.calibrations.views import View, candidates, reachable, sweep_of
+from controller.cell import Cell
+from controller.config import SiteConfig
+from controller.planning import Viewpoint
+from controller.scan_session import sweep_over
+from controller.sweep import SweepError
+from controller.sweeping import ProgressReport
+from controller.unrecorded import Unrecorded
+from perception.calibration.errors import CalibrationError
+from perception.calibration.foresight import Expected, Foreseen, Sweep, best_next, covariance_after, foreseen, spread
+from perception.calibration.from_sweeps import Solved, TargetKind, checked, solve_sweeps, sphere_place
+from perception.calibration.hand_eye import Asked
+from perception.calibration.sightings import Mounting
+from perception.calibration.targets import SphereTarget
+from perception.geometry import Array, Pose
+from perception.scan import Scan
+
+log = logging.getLogger(__name__)
+
+CANDIDATES = 36
+MIN_SWEEPS = 8
+SEARCH_ASIDE_MM = (0.0, 60.0, -60.0)
+"""Where the first sweep looks for the target: a guess that is 10 deg off misses it by 50 mm."""
+MIN_POINTS_FORESEEN = 150
+SPOILED = 3
+STATUS_S = 5.0
+
+Note = Callable[[str], None]
+
+
+@dataclass(frozen=True, slots=True)
+class Wanted:
+    """What a calibration is to reach, and with how many sweeps at most."""
+
+    kind: TargetKind
+    asked: Asked = field(default_factory=Asked)
+    sigma_m: float = 0.0002
+    sigma_rad: float = float(np.deg2rad(0.06))
+    max_sweeps: int = 14
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Calibrated:
+    """A solved and checked calibration."""
+
+    solved: Solved
+    left_out_m: Array
+    """(S,) how far each sweep shows the target from where all others foretell it."""
+    sweeps: int
+    time_scale: float
+    """Device seconds per second of the solution's time offset."""
+
+
+def calibrate_hand_eye(
+    config: SiteConfig,
+    wanted: Wanted,
+    report: ProgressReport,
+    note: Note,
+    *,
+    pace: float = 1.0,
+    heartbeat_mode: int = 3,
+) -> Calibrated:
+    """Sweep, solve, check. Raises CalibrationError, MissionFault, SweepError, LinkOpenError; nothing is stored."""
+    with ExitStack() as closing:
+        cell = assemble(config, Unrecorded(), closing, pace=pace, heartbeat_mode=heartbeat_mode).cell
+        thinker = Thinker()
+        closing.callback(thinker.close)
+        return _Calibrating(cell, config, wanted, report, note, thinker).run()
+
+
+@dataclass(frozen=True, slots=True)
+class Planned:
+    """A pose of a plan, and how certain the mounting is foretold to be after it."""
+
+    view: View
+    sigma_m: float
+    sigma_rad: float
+
+
+def plan_hand_eye(config: SiteConfig, wanted: Wanted, *, pace: float = 1.0, heartbeat_mode: int = 3) -> list[Planned]:
+    """The poses that a calibration with a sphere would sweep from, were the guess right. Nothing moves.
+
+    :raises CalibrationError: too few poses can be reached; and as ``calibrate_hand_eye``
+    """
+    with ExitStack() as closing:
+        cell = assemble(config, Unrecorded(), closing, pace=pace, heartbeat_mode=heartbeat_mode).cell
+        thinker = Thinker()
+        closing.callback(thinker.close)
+        cell.supervisor.wait(lambda: cell.arm_state() is not None, STATUS_S)
+        return _Calibrating(cell, config, wanted, lambda *_: None, lambda _: None, thinker).plan()
+
+
+class _Calibrating:
+    """One calibration under way."""
+
+    def __init__(
+        self, cell: Cell, config: SiteConfig, wanted: Wanted, report: ProgressReport, note: Note, thinker: Thinker
+    ) -> None:
+        self._cell, self._config, self._wanted, self._thinker = cell, config, wanted, thinker
+        self._report, self._note = report, note
+        self._mounting = Mounting(config.scanner.T_flange_scanner.pose)
+        self._T_base_target = config.port.T_base_port.pose
+        self._scans: list[Scan] = []
+        self._left = list(candidates(CANDIDATES))
+        self._solved: Solved | None = None
+
+    def run(self) -> Calibrated:
+        self._find_target()
+        while not self._enough():
+            self._sweep(self._next_view())
+            self._solve()
+        solved = self._solved
+        assert solved is not None, "it is enough only with a solution"
+        left_out_m = self._thinker.ask(self._cell, checked, solved, self._wanted.asked)
+        shared = self._config.scanner.sync in ("shared_clock", "trigger")
+        return Calibrated(solved, left_out_m, len(self._scans), 1.0 if shared else self._cell.time_scale)
+
+    def plan(self) -> list[Planned]:
+        """Poses one by one until the prediction is good enough, or no more may be added."""
+        made, planned = [self._foreseen(View())], [Planned(View(), np.inf, np.inf)]
+        while len(planned) < self._wanted.max_sweeps:
+            view = self._best_of(self._possible(), made)
+            self._left.remove(view)
+            made.append(self._foreseen(view))
+            sigma_m, sigma_rad = spread(covariance_after(made, Expected()))
+            planned.append(Planned(view, sigma_m, sigma_rad))
+            if len(planned) >= MIN_SWEEPS and sigma_m < self._wanted.sigma_m and sigma_rad < self._wanted.sigma_rad:
+                break
+        return planned
+
+    # --- sweeps
+
+    def _find_target(self) -> None:
+        """A first sweep, square on; of a sphere it tells where to look from then on."""
+        kind = self._wanted.kind
+        if kind.name != "sphere":
+            self._sweep(View())
+            return
+        problem: CalibrationError | None = None
+        for aside_mm in SEARCH_ASIDE_MM:
+            self._sweep(View(aside_mm=aside_mm))
+            try:
+                place = self._thinker.ask(self._cell, sphere_place, self._scans[-1], kind.radius_m, self._mounting)
+            except CalibrationError as error:
+                self._scans.pop()
+                problem = problem or error
+                continue
+            self._aim(place)
+            return
+        assert problem is not None
+        raise problem
+
+    def _sweep(self, view: View) -> None:
+        for _ in range(SPOILED):
+            try:
+                scan = sweep_over(self._cell, self._config, (self._viewpoint(view),), self._report)
+                break
+            except SweepError as error:
+                log.warning("this sweep cannot be used, it is made again: %s", error.cause)
+        else:
+            raise SweepError(f"{SPOILED} sweeps from one pose could not be used")
+        self._scans.append(scan)
+        self._note(
+            f"sweep {len(self._scans)}: pitch {view.pitch_deg:+.0f} yaw {view.yaw_deg:+.0f} roll {view.roll_deg:+.0f}"
+            f" deg, {self._config.scan.standoff_mm - view.nearer_mm:.0f} mm off"
+        )
+
+    def _viewpoint(self, view: View) -> Viewpoint:
+        T_scanner_tcp = self._mounting.T_flange_scanner.inverse() @ self._config.arm.T_flange_tcp.pose
+        return sweep_of(view, self._T_base_target, self._config.scan, T_scanner_tcp)
+
+    def _aim(self, place: Array) -> None:
+        self._T_base_target = Pose(self._T_base_target.rotation, place)
+
+    # --- which pose next
+
+    def _next_view(self) -> View:
+        """Of the candidates that can be reached, the one after which the mounting is least uncertain."""
+        possible = self._possible()
+        if self._wanted.kind.name == "sphere":
+            view = self._best_of(possible, [one for one in self._made if one.points])
+        else:
+            view = possible[0]
+        self._left.remove(view)
+        return view
+
+    def _possible(self) -> list[View]:
+        """Candidates that the arm can go to and sweep along. Raises CalibrationError without any."""
+        target, reach = self._T_base_target, self._cell.reach
+        possible = [view for view in self._left if reachable(self._viewpoint(view), target, reach) is None]
+        if not possible:
+            raise CalibrationError(
+                f"after {len(self._scans)} sweeps no further pose about the target can be reached",
+                remedy="Place the target nearer to the middle of the arm's reach, or free the space around it.",
+            )
+        return possible
+
+    def _best_of(self, possible: list[View], made: list[Foreseen]) -> View:
+        told = [self._foreseen(view) for view in possible]
+        seeing = [k for k, one in enumerate(told) if one.points > MIN_POINTS_FORESEEN] or list(range(len(told)))
+        lever_m = self._config.scan.standoff_mm / 1000.0
+        return possible[seeing[best_next(made, [told[k] for k in seeing], Expected(), lever_m)]]
+
+    @property
+    def _made(self) -> list[Foreseen]:
+        """What the sweeps that are made say, by their two ends."""
+        told = []
+        for scan in self._scans:
+            times_s = scan.profiles[-1].time_s - scan.profiles[0].time_s
+            ends = scan.T_base_flange[0], scan.T_base_flange[-1]
+            told.append(foreseen(Sweep(*ends, times_s), self._target, self._mounting, self._wanted.asked))
+        return told
+
+    def _foreseen(self, view: View) -> Foreseen:
+        viewpoint, scan = self._viewpoint(view), self._config.scan
+        T_tcp_flange = self._config.arm.T_flange_tcp.pose.inverse()
+        ends = viewpoint.T_base_tcp_start @ T_tcp_flange, viewpoint.T_base_tcp_end @ T_tcp_flange
+        duration_s = scan.length_mm / scan.speed_mm_s
+        return foreseen(Sweep(*ends, duration_s), self._target, self._mounting, self._wanted.asked)
+
+    @property
+    def _target(self) -> SphereTarget:
+        return SphereTarget(self._T_base_target.translation, self._wanted.kind.radius_m)
+
+    # --- solution
+
+    def _solve(self) -> None:
+        """What the sweeps say so far; few sweeps may not say it yet."""
+        if len(self._scans) < 4:
+            return
+        w = self._wanted
+        try:
+            solved = self._thinker.ask(self._cell, solve_sweeps, self._scans, w.kind, self._mounting, w.asked)
+        except CalibrationError as error:
+            if len(self._scans) >= w.max_sweeps:
+                raise
+            log.info("not yet: %s", error.cause)
+            return
+        self._solved, self._mounting = solved, solved.hand_eye.mounting
+        if solved.place is not None:
+            self._aim(solved.place)
+        sigma_m, sigma_rad = spread(solved.hand_eye.covariance[:6, :6])
+        self._note(f"  1 sigma {1e3 * sigma_m:.3f} mm, {np.rad2deg(sigma_rad):.4f} deg; {self._foretold()}")
+
+    def _foretold(self) -> str:
+        if self._wanted.kind.name != "sphere":
+            return f"rms {1e3 * self._solved.hand_eye.rms_m:.3f} mm" if self._solved is not None else ""
+        sigma_m, sigma_rad = spread(covariance_after(self._made, Expected()))
+        return f"predicted {1e3 * sigma_m:.3f} mm, {np.rad2deg(sigma_rad):.4f} deg"
+
+    def _enough(self) -> bool:
+        """Enough sweeps, and certain enough; or all that were allowed."""
+        count, w = len(self._scans), self._wanted
+        if count >= w.max_sweeps and self._solved is not None:
+            return True
+        if count < MIN_SWEEPS or self._solved is None:
+            return False
+        sigma_m, sigma_rad = spread(self._solved.hand_eye.covariance[:6, :6])
+        certain = sigma_m < w.sigma_m and sigma_rad < w.sigma_rad
+        if certain and w.kind.name == "sphere":  # errors of the arm may happen to agree in few sweeps
+            sigma_m, sigma_rad = spread(covariance_after(self._made, Expected()))
+            certain = sigma_m < w.sigma_m and sigma_rad < w.sigma_rad
+        return certain

@@ -1,0 +1,170 @@
+"""How good calibration and teaching are, in numbers over many drawn cells; and how the drift chart warns."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from perception.calibration.drift import ChartSettings, Dock, chart
+from perception.calibration.find_sphere import find_sphere
+from perception.calibration.hand_eye import Asked, HandEye, solve
+from perception.calibration.sightings import Mounting, sightings
+from perception.calibration.teaching import teach
+from perception.evaluation.calibration_cells import (
+    JOINT_RAD,
+    LINK_M,
+    RADIUS_M,
+    TrueCell,
+    draw_cell,
+    draw_guess,
+)
+from perception.geometry import Array, Pose, exp
+
+CENTRE = np.array([0.9, 0.1, 0.45])
+SWEEPS = 10
+CHI2_6_95 = 12.592
+"""95 % quantile of chi square with six degrees of freedom."""
+LOCATOR_M, LOCATOR_RAD = 0.00005, float(np.deg2rad(0.03))
+"""1 sigma of each axis of the locator, assumed: 0.05 mm or less is what `evaluate locate` finds of one good scan."""
+CAR_M, CAR_RAD = 0.100, float(np.deg2rad(10.0))
+"""How far the car stands from where the port was taught, each axis."""
+CARS = 10
+"""Car positions for each cell."""
+T_PORT_TCP = Pose(np.diag([1.0, -1.0, -1.0]), np.array([0.0, 0.0, -0.04]))
+MATED_M, MATED_RAD = 0.00005, float(np.deg2rad(0.02))
+"""1 sigma of how a plug sits in its port, from dock to dock."""
+
+
+@dataclass(frozen=True, slots=True)
+class HandEyeTrial:
+    """One calibration of one cell with a perfect arm."""
+
+    error_mm: float
+    error_deg: float
+    inside_95: bool
+    """The true mounting lies in the stated 95 % ellipsoid."""
+
+
+@dataclass(frozen=True, slots=True)
+class PlacingTrial:
+    """One car at one cell whose arm errs: after hand-eye calibration, and after teaching on top."""
+
+    located_mm: float
+    untaught_mm: float
+    taught_mm: float
+    """Distance of the plug from where it is mated."""
+
+
+def hand_eye_trial(seed: int) -> HandEyeTrial:
+    """A cell with a perfect arm, calibrated from a guess up to 20 mm and 10 deg off."""
+    rng = np.random.default_rng([seed, 1])
+    cell = draw_cell(rng)
+    solved = calibrated(cell, rng)
+    off = pose_error(cell.T_flange_scanner, solved.mounting.T_flange_scanner)
+    inside = float(off @ np.linalg.solve(solved.covariance[:6, :6], off)) < CHI2_6_95
+    return HandEyeTrial(1e3 * float(np.linalg.norm(off[:3])), float(np.rad2deg(np.linalg.norm(off[3:]))), inside)
+
+
+def placing_trials(seed: int) -> list[PlacingTrial]:
+    """A cell whose arm errs: calibrated, taught at one place, docked at cars that stand elsewhere."""
+    rng = np.random.default_rng([seed, 2])
+    cell = draw_cell(rng, JOINT_RAD, LINK_M)
+    T_flange_scanner = calibrated(cell, rng).mounting.T_flange_scanner
+    home = Pose(_PORT_AXES, CENTRE)
+    views = [np.zeros(3), np.deg2rad([12.0, 0.0, 0.0]), np.zeros(3)]
+    scans = [located(cell, home, T_flange_scanner, view, rng) for view in views]
+    taught = teach(scans, told_when_mated(cell, home, rng)).T_port_tcp
+    trials = []
+    for _ in range(CARS):
+        moved = Pose.from_rotvec(rng.uniform(-CAR_RAD, CAR_RAD, 3), rng.uniform(-CAR_M, CAR_M, 3))
+        T_base_port = Pose(home.rotation @ moved.rotation, home.translation + moved.translation)
+        seen = located(cell, T_base_port, T_flange_scanner, np.zeros(3), rng)
+        placed = [plug_error_m(cell, T_base_port, seen @ T_port_tcp) for T_port_tcp in (T_PORT_TCP, taught)]
+        trials.append(PlacingTrial(1e3 * seen.distance_to(T_base_port), *(1e3 * one for one in placed)))
+    return trials
+
+
+_PORT_AXES = np.array([[0.0, 0.0, -1.0], [-1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+"""A port that looks at the robot: z along the base's -x, y up."""
+
+
+def calibrated(cell: TrueCell, rng: np.random.Generator) -> HandEye:
+    """Sweeps of a sphere, from a far guess."""
+    seen = sightings(cell.sphere_sweeps(CENTRE, SWEEPS, rng), max_points=1500)
+    found = find_sphere(seen, RADIUS_M, Mounting(draw_guess(cell.T_flange_scanner, rng)))
+    return solve(seen.of(found.on_sphere), found.target, found.mounting, Asked(time_offset=True))
+
+
+def pose_error(true: Pose, found: Pose) -> Array:
+    """(6,) in the order and frames of the solver's covariance."""
+    turn = Rotation.from_matrix(true.rotation.T @ found.rotation).as_rotvec()
+    return np.concatenate([found.translation - true.translation, turn])
+
+
+def located(
+    cell: TrueCell, T_base_port: Pose, T_flange_scanner: Pose, view_rad: Array, rng: np.random.Generator
+) -> Pose:
+    """T_base_port as arm, calibration and locator say: the scanner looks squarely at it, but for the view's tilt."""
+    T_port_scanner = Pose.from_rotvec(view_rad) @ Pose(T_PORT_TCP.rotation, np.array([0.0, 0.0, 0.29]))
+    told = T_base_port @ T_port_scanner @ T_flange_scanner.inverse()
+    true = cell.true_flange(told)
+    T_scanner_port = (true @ cell.T_flange_scanner).inverse() @ T_base_port
+    noise = exp(np.concatenate([rng.normal(0, LOCATOR_M, 3), rng.normal(0, LOCATOR_RAD, 3)]))
+    return told @ T_flange_scanner @ T_scanner_port @ noise
+
+
+def told_when_mated(cell: TrueCell, T_base_port: Pose, rng: np.random.Generator) -> Pose:
+    """T_base_tcp that the arm says while the plug is home: its nominal tool, its own kinematics' errors."""
+    sits = exp(np.concatenate([rng.normal(0, MATED_M, 3), rng.normal(0, MATED_RAD, 3)]))
+    wanted = T_base_port @ T_PORT_TCP @ sits @ cell.T_flange_tcp.inverse()
+    told = wanted
+    for _ in range(4):  # the told flange pose whose true pose is the wanted one
+        told = told @ (cell.true_flange(told).inverse() @ wanted)
+    return told @ T_FLANGE_TCP
+
+
+T_FLANGE_TCP = Pose(np.eye(3), np.array([0.0, 0.0, 0.2]))
+"""What the controller believes."""
+
+
+def plug_error_m(cell: TrueCell, T_base_port: Pose, T_base_tcp: Pose) -> float:
+    """How far the true plug is from its mated place when the arm is told to bring its TCP to ``T_base_tcp``."""
+    plug = cell.true_flange(T_base_tcp @ T_FLANGE_TCP.inverse()) @ cell.T_flange_tcp
+    return plug.distance_to(T_base_port @ T_PORT_TCP)
+
+
+# --- drift ------------------------------------------------------------------------------------------------------------
+
+DOCK_M, DOCK_RAD = 0.00015, float(np.deg2rad(0.08))
+"""1 sigma of each axis of a dock's offset while nothing changes."""
+BUMP_M, BUMP_RAD = 0.0005, float(np.deg2rad(0.3))
+GOOD_DOCKS = 500
+
+
+@dataclass(frozen=True, slots=True)
+class DriftTrial:
+    """One cell's chart."""
+
+    false_alarm: bool
+    """In 500 good docks after the standard."""
+    docks_to_warning: int | None
+    """After a bump; None: not within 50."""
+
+
+def drift_trial(seed: int) -> DriftTrial:
+    """500 good docks, then a scanner that was knocked by 0.5 mm and 0.3 deg in some direction."""
+    rng = np.random.default_rng([seed, 3])
+    sigma = np.array([DOCK_M] * 3 + [DOCK_RAD] * 3)
+    place, axis = (v / np.linalg.norm(v) for v in rng.normal(size=(2, 3)))
+    bump = np.concatenate([BUMP_M * place, BUMP_RAD * axis])
+    good, after = ChartSettings().baseline + GOOD_DOCKS, 50
+    constant = rng.normal(0, 3, 6) * sigma
+    offsets = constant + rng.normal(size=(good + after, 6)) * sigma
+    offsets[good:] += bump
+    found = chart([Dock("ccs2", offset) for offset in offsets])
+    assert found is not None, "there are docks enough"
+    alarms = np.logical_or.reduce(found.alarms, axis=1)
+    warned = np.flatnonzero(alarms[GOOD_DOCKS:])
+    return DriftTrial(bool(alarms[:GOOD_DOCKS].any()), int(warned[0]) + 1 if len(warned) else None)
