@@ -10,6 +10,7 @@ import typer
 
 from controller.cli import (
     calibrate,
+    campaign,
     charger,
     config,
     convert,
@@ -58,6 +59,7 @@ app.command("locate")(locate.locate)
 app.command("merge")(merge.merge)
 app.command("states")(states.states)
 app.command("replay")(replay.replay)
+app.command("campaign")(campaign.campaign)
 app.command("scan")(scan.scan)
 app.command("convert")(convert.convert)
 app.command("doctor")(doctor.doctor)

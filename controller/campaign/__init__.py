@@ -1,0 +1,1 @@
+"""The fault campaign: every fault in every state, judged by rules that were written down before."""
