@@ -15,7 +15,7 @@ import tempfile
 from pathlib import Path
 
 PROJECT = Path(__file__).resolve().parents[2]
-TIMEOUT_S = 1500
+TIMEOUT_S = 900
 DEFAULT_TESTS = ["tests/socketcan"]
 
 

@@ -16,13 +16,13 @@ import pytest
 
 from controller.recording.reader import read_recording
 
-TIMEOUT_S = 840
+TIMEOUT_S = 420
 CYCLE = [
     "SELF_CHECK", "READY", "STAGING", "SCANNING", "LOCATING", "APPROACHING", "INSERTING", "VERIFYING", "CHARGING",
     "RELEASING", "RETREATING", "READY",
 ]  # fmt: skip
 ROBOT, CHARGER = 0xB0, 0x56
-SLOWEST_IMPORT_S = 25.0
+SLOWEST_IMPORT_S = 15.0
 """Five processes import that and more, and the arm's clock does not wait for them. A quiet machine takes about 5 s."""
 
 
