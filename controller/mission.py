@@ -22,7 +22,8 @@ from controller.self_check import check_self
 from controller.states import RESTING, Event, State, next_state
 from controller.supervisor import PauseRequested, StopRequested
 from controller.task import Desk, Goal, Progress, SingleJob, Task, Watcher
-from controller.undocking import release, retreat, switch_off
+from controller.undocking import release, retreat
+from controller.waiting import hold, leave_docked
 from drivers.base import ChargerRequest, LinkLostError, Proximity
 from perception.errors import PortdockError
 from perception.geometry import Pose
@@ -39,8 +40,9 @@ STEPS: dict[State, Callable[[Task], Event | None]] = {
     State.VERIFYING: verify,
     State.RELEASING: release,
     State.RETREATING: retreat,
+    State.HOLD: hold,
 }
-"""The procedure. READY, CHARGING, HOLD and FAULT, where a mission rests, are below."""
+"""The procedure. READY, CHARGING and FAULT, where a mission rests, are below."""
 
 
 class Mission:
@@ -64,7 +66,6 @@ class Mission:
         self._steps = STEPS | {
             State.READY: self._ready,
             State.CHARGING: self._charging,
-            State.HOLD: self._hold,
             State.FAULT: self._fault,
         }
 
@@ -237,7 +238,7 @@ class Mission:
             self.now.setback = ended.setback
             return Event.CHARGE_COMPLETE
         if task.desk.leaving:
-            return self._leave_docked()
+            return leave_docked(task)
         return None if task.desk.pending is None else self._asked_while_docked(task.desk.take())
 
     def _charge_for_job(self, task: Task) -> Event | None:
@@ -259,20 +260,6 @@ class Mission:
             return None
         self._begin(goal)
         return Event.UNDOCK_REQUESTED
-
-    def _leave_docked(self) -> Event:
-        """The process ends while docked: power off, the plug stays locked, nothing moves."""
-        if not switch_off(self.task, self.task.config.deadlines.releasing_s / 3.0):
-            log.error("the process ends, but current or contactor did not go off; the plug stays locked")
-        return Event.SHUT_DOWN
-
-    def _hold(self, task: Task) -> Event:
-        """Wait until the reason for the pause is gone, then start over at staging."""
-        gone = task.cell.supervisor.wait(lambda: task.cell.supervisor.pause is None, task.config.deadlines.hold_s)
-        if not gone:
-            raise MissionFault(FaultCode.DEADLINE, "the pause lasted too long")
-        task.cell.recover_arm()
-        return Event.RESUMED
 
     def _fault(self, task: Task) -> Event | None:
         """Latched: nothing but an operator's reset, or the end of the process, leads out."""

@@ -82,7 +82,7 @@ def test_every_state_that_is_not_rest_has_a_deadline_and_each_deadline_has_a_sta
 
 
 def test_every_state_has_a_step() -> None:
-    rests = {State.OFFLINE, State.READY, State.CHARGING, State.HOLD, State.FAULT}
+    rests = {State.OFFLINE, State.READY, State.CHARGING, State.FAULT}
     assert set(STEPS) | rests == set(State) and not set(STEPS) & rests
 
 
