@@ -13,9 +13,10 @@ from perception.geometry import Array
 from perception.refine import Refined
 
 PATCH_M = 0.006
-ACROSS_M = 0.000025
-"""Standard deviation across the axis that no residual shows: mixed pixels and shadows displace what bounds the port
-sideways, all of it in one direction."""
+ACROSS_M = 0.00002
+ACROSS_SIGMAS = 0.12
+"""Standard deviation across the axis that no residual shows, and its share of the noise: mixed pixels and shadows
+displace what bounds the port sideways, all of it in one direction."""
 LEVER_M = 0.025
 """How far from the axis such a displacement acts when it turns the port."""
 
@@ -29,8 +30,9 @@ def covariance(refined: Refined) -> Array:
     pull = refined.jacobian[order] * (refined.weight * refined.distance)[order, None]
     sums = np.add.reduceat(pull, np.searchsorted(patch[order], np.arange(count)), axis=0)
     clustered = inverse @ (sums.T @ sums) @ inverse * (count / max(count - 6, 1))
-    unseen = np.diag([ACROSS_M**2, ACROSS_M**2, 0.0, 0.0, 0.0, (ACROSS_M / LEVER_M) ** 2])
-    return np.asarray((inverse + clustered)[:6, :6] + unseen)
+    across = ACROSS_M + ACROSS_SIGMAS * refined.scale_m
+    unseen = np.square([across, across, 0.0, 0.0, 0.0, across / LEVER_M])
+    return np.asarray((inverse + clustered)[:6, :6] + np.diag(unseen))
 
 
 def _patches(refined: Refined) -> Array:

@@ -50,6 +50,8 @@ class PortEstimate:
     timings_s: tuple[tuple[str, float], ...]
     """(step, seconds) in order, the last one being ("total", ...)."""
     verdict: Verdict = "port"
+    runner_ups: tuple[tuple[float, Pose], ...] = ()
+    """Other poses that were considered, (score, T_ref_port), best first; the chosen pose scores higher or as high."""
 
     @staticmethod
     def nothing_found(

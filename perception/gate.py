@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from perception.estimate import Prior
+from perception.estimate import Prior, Verdict
 from perception.evidence import Evidence
 from perception.geometry import Array, Pose
 from perception.port_model import AcceptanceLimits
@@ -17,6 +17,7 @@ MIN_MARGIN = 0.10
 MIN_FEATURES = 2
 MAX_DENIED = 0.25
 MIN_INNER = 0.06
+MIN_BLOCKED = 0.4
 MIN_ROLL_VOTES = 6
 MIN_ROLL_MARGIN = 0.4
 _PRIOR_SLACK_M = 0.006
@@ -119,6 +120,16 @@ def _unsupported(findings: Findings) -> list[str]:
     if findings.margin < MIN_MARGIN:
         found.append(f"another pose fits nearly as well (margin {findings.margin:.0%})")
     return found
+
+
+def verdict(findings: Findings, against: tuple[str, ...]) -> Verdict:
+    """What the scan shows: a thing before an inlet that is otherwise where it should be occupies it."""
+    e = findings.evidence
+    if not against:
+        return "port"
+    if e.blocked > max(MIN_BLOCKED, e.inner) and e.violation <= MAX_VIOLATION and e.coverage >= MIN_COVERAGE:
+        return "occupied"
+    return "uncertain"
 
 
 def supporting(findings: Findings) -> tuple[str, ...]:

@@ -20,7 +20,7 @@ from perception.crop import Scene, crop
 from perception.errors import DegenerateCloudError, EmptyScanError
 from perception.estimate import PortEstimate, Prior
 from perception.evidence import judge, score
-from perception.gate import Findings, reasons_against, supporting
+from perception.gate import Findings, reasons_against, supporting, verdict
 from perception.geometry import Pose
 from perception.hypotheses import axis_hypotheses
 from perception.port_model import PortModel
@@ -159,16 +159,21 @@ def _judged(
         accepted=not against,
         reasons=against or supporting(findings),
         timings_s=timer.done(),
-        verdict="uncertain" if against else "port",
+        verdict=verdict(findings, against),
+        runner_ups=tuple((score, prior.T_ref_port @ other) for score, other in _others(pose, ranked)[:3]),
     )
+
+
+def _others(pose: Pose, ranked: list[tuple[float, Pose]]) -> list[tuple[float, Pose]]:
+    """The candidates that are not this pose. Rolls less than 20 deg off are none: refinement compared them outright."""
+    return [(score, other) for score, other in ranked if other.distance_to(pose) > 0.004 or other.angle_to(pose) > 0.35]
 
 
 def _margin(best: float, pose: Pose, ranked: list[tuple[float, Pose]]) -> float:
     """How far the best pose that is not this one scores below it, as a share of its score."""
-    # Rolls less than 20 deg off are no others: the refinement has compared them outright.
-    others = [score for score, other in ranked if other.distance_to(pose) > 0.004 or other.angle_to(pose) > 0.35]
     if best <= 0:
         return 0.0
+    others = [score for score, _ in _others(pose, ranked)]
     return float(np.clip(1.0 - max(others, default=0.0) / best, 0.0, 1.0))
 
 

@@ -30,6 +30,8 @@ _TELLS_SIGMAS = 5.0
 """Levels nearer to each other than so many standard deviations are one level."""
 _STRIDE_M = 0.001
 _NEAR_M = 0.0025
+_VALLEY = 0.1
+"""How far up the slopes around the least cost are taken, as a share of their height."""
 _THROUGH_M = 0.001
 """A ray passed through a flat when its point lies this much deeper."""
 
@@ -113,13 +115,24 @@ def _best(places: _Places, flats: Flats, start: Array, offsets: Array, how: _Des
     """The best (x, y, roll) among rolls ``offsets`` around ``start``, each moved to its best place."""
     found = [_moved(places, flats, start + np.array([0.0, 0.0, offset]), how) for offset in offsets]
     costs = np.array([cost for cost, _ in found])
-    best = int(costs.argmin())
-    at = found[best][1].copy()
-    if 0 < best < len(offsets) - 1:  # the vertex of the parabola through the best roll and its neighbours
-        before, least, after = costs[best - 1 : best + 2]
-        curve = before - 2.0 * least + after
-        at[2] += 0.5 * (before - after) / curve * (offsets[1] - offsets[0]) if curve > 0 else 0.0
+    at = found[int(costs.argmin())][1].copy()
+    at[2] = start[2] + _middle_of_valley(offsets, costs)
     return at
+
+
+def _middle_of_valley(offsets: Array, costs: Array) -> float:
+    """The offset halfway between the two slopes around the least cost; between two edges nothing tells rolls apart."""
+    best = int(costs.argmin())
+    level = costs[best] + _VALLEY * (costs.max() - costs[best])
+    high = np.flatnonzero(costs > level)
+    left, right = high[high < best], high[high > best]
+    if len(left) == 0 or len(right) == 0:
+        return float(offsets[best])
+    ends = [
+        np.interp(level, [costs[inner], costs[outer]], [offsets[inner], offsets[outer]])
+        for outer, inner in ((left[-1], left[-1] + 1), (right[0], right[0] - 1))
+    ]
+    return float(np.mean(ends))
 
 
 def _moved(places: _Places, flats: Flats, at: Array, how: _Descent) -> tuple[float, Array]:
