@@ -16,6 +16,7 @@ app = typer.Typer(help="Measure what is constant about a site.", no_args_is_help
 app.command("hand-eye")(calibrate_hand_eye.hand_eye)
 app.command()(calibrate_drift.drift)
 app.command()(calibration_files.show)
+app.command()(calibration_files.budget)
 app.command()(calibration_files.compare)
 app.command()(calibration_files.restore)
 

@@ -8,7 +8,8 @@ from typing import Annotated
 
 import typer
 
-from controller.calibrations.in_force import device_names, unfit
+from controller.calibrations.budget import budget_table
+from controller.calibrations.in_force import device_names, slots_of, unfit
 from controller.calibrations.record import CalibrationFileError
 from controller.calibrations.store import CalibrationStore
 from controller.calibrations.words import compared, described
@@ -70,6 +71,15 @@ def restore(
     store = CalibrationStore(Path(load_config(config).calibration.folder))
     calibration = store.restore(file)
     typer.echo(f"in force for {calibration.slot}: {file.name}, measured {calibration.measured:%Y-%m-%d %H:%M}")
+
+
+def budget(config: ConfigOption = None) -> None:
+    """The error budget at the plug, from the calibrations in force and the locator's figures."""
+    site = load_config(config)
+    store = CalibrationStore(Path(site.calibration.folder))
+    sound = {slot: one for slot in slots_of(site) if (one := store.in_force(slot)) is not None}
+    for line in budget_table(sound, site.scan.standoff_mm):
+        typer.echo(line)
 
 
 def _existing(path: Path, store: CalibrationStore) -> Path:

@@ -29,6 +29,7 @@ from controller.cli import (
     service,
     soak,
     states,
+    teach,
 )
 from controller.config_section import ConfigError
 from controller.faults import MissionFault
@@ -56,6 +57,7 @@ for command in (jobs.dock, jobs.undock, jobs.stop, jobs.abort, jobs.reset, jobs.
     app.command()(command)
 app.command("soak")(soak.soak)
 app.command("locate")(locate.locate)
+app.command("teach")(teach.teach)
 app.command("merge")(merge.merge)
 app.command("states")(states.states)
 app.command("replay")(replay.replay)

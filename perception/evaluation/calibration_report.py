@@ -44,15 +44,12 @@ def run_trials(
     placing: list[PlacingTrial] = []
     seeds, cells = range(runs), range(max(2, runs // 5))
     with ProcessPoolExecutor(jobs, multiprocessing.get_context("spawn"), initializer=_one_thread) as pool:
-        futures = {pool.submit(_hand_eye_or_none, seed): "hand-eye" for seed in seeds}
-        futures |= {pool.submit(_placing_or_none, seed): "placing" for seed in cells}
-        for done, future in enumerate(as_completed(futures), 1):
-            report(done, len(futures))
-            result = future.result()
-            if isinstance(result, HandEyeTrial):
-                hand_eye.append(result)
-            elif result is not None:
-                placing.extend(result)
+        solved = [pool.submit(_hand_eye_or_none, seed) for seed in seeds]
+        placed = [pool.submit(_placing_or_none, seed) for seed in cells]
+        for done, _ in enumerate(as_completed([*solved, *placed]), 1):
+            report(done, len(solved) + len(placed))
+        hand_eye += [trial for future in solved if (trial := future.result()) is not None]
+        placing += [trial for future in placed for trial in future.result() or ()]
     return hand_eye, placing, [drift_trial(seed) for seed in range(4 * runs)]
 
 

@@ -1,0 +1,66 @@
+"""The error budget at the plug: what each link of the chain adds, with teaching and without. Pure.
+
+Parts add as independent errors do (root of the sum of squares). An angle counts by its lever: the scanner's stand-off.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from controller.calibrations.record import Calibration
+
+LOCATOR_MM = 0.05
+"""Of one good scan, as `portdock evaluate locate` finds it."""
+ARM_MM = 0.5
+"""Of an arm that was not calibrated itself, over its reach; assumed."""
+ARM_NEAR_MM = 0.1
+"""What of it differs between the taught place and a car that stands elsewhere; assumed."""
+HAND_EYE_MM = 0.7
+"""Of a scanner that was mounted by measure and not calibrated by sweeps; assumed."""
+TOOL_MM = 0.2
+"""Of a tool frame from its drawing; assumed."""
+
+
+@dataclass(frozen=True, slots=True)
+class Part:
+    """One link of the chain, 1 sigma at the plug."""
+
+    name: str
+    untaught_mm: float
+    taught_mm: float
+    source: str
+
+
+def parts(calibrations: Mapping[str, Calibration], standoff_mm: float) -> tuple[Part, ...]:
+    """The links in their order. ``calibrations`` by slot."""
+    hand_eye, tool = calibrations.get("hand-eye"), calibrations.get("tool")
+    taught = next((one for slot, one in calibrations.items() if slot.startswith("port-")), None)
+    scanner_mm = HAND_EYE_MM if hand_eye is None else at_lever_mm(hand_eye, standoff_mm)
+    tool_mm = TOOL_MM if tool is None else tool.sigma_mm
+    teaching_mm = 0.0 if taught is None else taught.sigma_mm
+    return (
+        Part("locator", LOCATOR_MM, LOCATOR_MM, "evaluate locate"),
+        Part("hand-eye", scanner_mm, 0.0, "assumed" if hand_eye is None else "its covariance"),
+        Part("arm", ARM_MM, ARM_NEAR_MM, "assumed"),
+        Part("tool", tool_mm, 0.0, "assumed" if tool is None else "its covariance"),
+        Part("teaching", 0.0, teaching_mm, "not taught" if taught is None else "its spread"),
+    )
+
+
+def at_lever_mm(hand_eye: Calibration, standoff_mm: float) -> float:
+    """1 sigma of a mounting where the port is: position, and rotation times the stand-off."""
+    return float(np.hypot(hand_eye.sigma_mm, np.deg2rad(hand_eye.sigma_deg) * standoff_mm))
+
+
+def budget_table(calibrations: Mapping[str, Calibration], standoff_mm: float) -> Iterator[str]:
+    """Markdown, line by line."""
+    found = parts(calibrations, standoff_mm)
+    yield "| part | 1 sigma (mm) | after teaching (mm) | from |"
+    yield "|---|---|---|---|"
+    for part in found:
+        yield f"| {part.name} | {part.untaught_mm:.2f} | {part.taught_mm:.2f} | {part.source} |"
+    total = np.sqrt(np.sum([[part.untaught_mm**2, part.taught_mm**2] for part in found], axis=0))
+    yield f"| all | {total[0]:.2f} | {total[1]:.2f} | root of the sum of squares |"

@@ -1,0 +1,100 @@
+"""Teach by plugging on the live cell: dock by force, note where the plug is while it is locked, back off, look thrice.
+
+The docking is a mission like any other, with its gate, interlocks and retries; it ends with the plug out again. A plug
+that cannot be docked with untaught is to be brought into the capture range by a better calibration first.
+"""
+
+from __future__ import annotations
+
+import logging
+from contextlib import ExitStack
+from pathlib import Path
+
+from controller.assembly import assemble
+from controller.cell import Cell
+from controller.config import SiteConfig
+from controller.faults import Outcome
+from controller.insertion import Insertion
+from controller.looking import plan_view
+from controller.mission import Mission
+from controller.scan_session import sweep_over
+from controller.sweep import SweepError
+from controller.sweeping import ProgressReport
+from controller.task import Goal, Progress
+from controller.unrecorded import Unrecorded
+from perception.calibration.errors import CalibrationError
+from perception.calibration.teaching import Taught, teach
+from perception.estimate import PortEstimate, Prior
+from perception.geometry import Pose
+from perception.scan import Cloud
+
+log = logging.getLogger(__name__)
+
+VIEWS = (0, 1, 0)
+"""Viewpoints of the scans after the dock: two different ones, and the first once more."""
+SPOILED = 3
+
+
+class TeachError(CalibrationError):
+    """The plug was not mated, or the port is not seen where it was docked at. Nothing is stored."""
+
+    code = "teach"
+
+
+class _Note:
+    """A mission's watcher that only passes its progress on."""
+
+    def __init__(self, report: ProgressReport) -> None:
+        self.progress = report
+
+    def began(self, goal: Goal) -> None: ...
+    def transition(self, source: str, event: str, target: str, time_s: float) -> None: ...
+    def scan(self, cloud: Cloud) -> None: ...
+    def estimate(self, estimate: PortEstimate) -> None: ...
+    def insertion(self, insertion: Insertion) -> None: ...
+    def ended(self, outcome: Outcome, job: Progress) -> None: ...
+
+
+def teach_port(
+    config: SiteConfig, folder: Path, report: ProgressReport, *, pace: float = 1.0, heartbeat_mode: int = 3
+) -> Taught:
+    """The mated plug in the port's frame as this cell sees it. Raises CalibrationError, MissionFault, LinkOpenError.
+
+    :param folder: for what must survive the process while the plug is in
+    """
+    brief = config.model_copy(update={"mission": config.mission.model_copy(update={"charge_s": 0.0})})
+    with ExitStack() as closing:
+        live = assemble(brief, Unrecorded(), closing, pace=pace, heartbeat_mode=heartbeat_mode)
+        mission = Mission(live.cell, brief, live.T_port_tcp_mated, _Note(report), folder)
+        outcome = mission.run(Goal.CYCLE)
+        mated = mission.now.T_base_tcp_mated
+        if outcome.kind != "charged" or mated is None:
+            why = "" if outcome.fault is None else f": {outcome.fault}"
+            raise TeachError(f"the plug was not mated ({outcome.kind}{why})", remedy=_remedy(outcome))
+        return teach([_located(live.cell, brief, number, report) for number in VIEWS], mated)
+
+
+def _remedy(outcome: Outcome) -> str:
+    first = "" if outcome.fault is None else f"{outcome.fault.remedy} "
+    return first + "A plug that misses its port needs `portdock calibrate hand-eye` first."
+
+
+def _located(cell: Cell, config: SiteConfig, number: int, report: ProgressReport) -> Pose:
+    """T_base_port from one scan alone. Raises TeachError where it is refused."""
+    for _ in range(SPOILED):
+        try:
+            cloud = sweep_over(cell, config, plan_view(config, number), report).to_cloud()
+            break
+        except SweepError as error:
+            log.warning("this sweep cannot be used, it is made again: %s", error.cause)
+    else:
+        raise SweepError(f"{SPOILED} sweeps from viewpoint {number + 1} could not be used")
+    future = cell.locator.submit([cloud], Prior(config.port.T_base_port.pose))
+    cell.supervisor.wait(future.done)
+    estimate = future.result()
+    if not estimate.accepted:
+        raise TeachError(
+            f"the port just docked at is not accepted from viewpoint {number + 1}: {'; '.join(estimate.reasons)}",
+            remedy="Check port.model, clean the scanner's window, keep the sun off the port; teach again.",
+        )
+    return estimate.T_ref_port
