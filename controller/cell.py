@@ -108,7 +108,7 @@ class Cell:
         try:
             self._give(command)
         except LinkLostError as error:
-            raise MissionFault(_LINK_OF.get(type(command), FaultCode.ARM_LINK_LOST), error.cause) from error
+            raise self.explained(_LINK_OF.get(type(command), FaultCode.ARM_LINK_LOST), error.cause) from error
         except PortdockError as error:
             raise self.explained(FaultCode.MOTION_FAILED, error.cause) from error
         if isinstance(command, Motion) and self.supervisor.trip is not None:
