@@ -31,10 +31,7 @@ class ScannerTooCoarseError(ConfigError):
     """The configured scanner cannot locate a port as well as docking needs (exit code 2)."""
 
     code = "scanner-too-coarse"
-    default_remedy = (
-        "Dock with a triangulating profiler (scanner.protocol framed or profiler2); this scanner can serve as the"
-        " coarse stage before it (section `coarse`)."
-    )
+    default_remedy = "Dock with a triangulating profiler: scanner.protocol framed or profiler2."
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,12 +11,12 @@ from collections.abc import Callable
 from controller.commands import Announce, AskCharger, MoveLinear, StopMotion
 from controller.durable import forget_insertion
 from controller.faults import FaultCode, MissionFault
-from controller.withdrawal import withdraw
 from controller.planning import DockPlan
 from controller.safety import LIVE_CURRENT_A
 from controller.self_check import OFF_AXIS_M
 from controller.states import Event
 from controller.task import Task
+from controller.withdrawal import withdraw
 from drivers.base import ChargerRequest, ChargerStatus, PlugLock, Proximity
 
 
