@@ -24,7 +24,7 @@ def test_a_scip_range_finder_alone_is_refused_with_the_figure() -> None:
         ScannerTooCoarseError, match=r"good to 17\.\d mm and 9\.\d deg \(1 sigma\).*allows 0\.50 mm"
     ) as caught:
         refuse_too_coarse(site(protocol="scip"))
-    assert "coarse stage" in caught.value.remedy
+    assert "triangulating profiler" in caught.value.remedy
     assert exit_code(caught.value) == 2
 
 
