@@ -8,7 +8,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable
 from contextlib import ExitStack
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -18,9 +18,10 @@ from controller.calibrations.views import View, candidates, reachable, sweep_of
 from controller.cell import Cell
 from controller.config import SiteConfig
 from controller.planning import Viewpoint
-from controller.scan_session import sweep_over
-from controller.sweep import SweepError
-from controller.sweeping import ProgressReport
+from controller.scan_session import go_to_start, sweep_over
+from controller.states import State
+from controller.sweep import SweepError, scan_of
+from controller.sweeping import ProgressReport, taken_moving
 from controller.unrecorded import Unrecorded
 from perception.calibration.errors import CalibrationError
 from perception.calibration.foresight import Expected, Foreseen, Sweep, best_next, covariance_after, foreseen, spread
@@ -169,7 +170,7 @@ class _Calibrating:
     def _sweep(self, view: View) -> None:
         for _ in range(SPOILED):
             try:
-                scan = sweep_over(self._cell, self._config, (self._viewpoint(view),), self._report)
+                scan = _swept(self._cell, self._config, self._viewpoint(view), self._report)
                 break
             except SweepError as error:
                 log.warning("this sweep cannot be used, it is made again: %s", error.cause)
@@ -277,3 +278,20 @@ class _Calibrating:
             sigma_m, sigma_rad = spread(covariance_after(self._made, Expected()))
             certain = sigma_m < w.sigma_m and sigma_rad < w.sigma_rad
         return certain
+
+
+def _swept(cell: Cell, config: SiteConfig, view: Viewpoint, report: ProgressReport) -> Scan:
+    """One sweep whose profiles bear the time of their measurement: speeds and time offset are taken from it."""
+    if config.scanner.sync == "stop_and_go":
+        return sweep_over(cell, config, (view,), report)
+    go_to_start(cell, config, view)
+    cell.enter(State.SCANNING, config.deadlines.scanning_s)
+    try:
+        sweep = taken_moving(cell, config, (view,), report)
+    finally:
+        cell.enter(State.READY, None)
+    scan = scan_of(sweep, config.scanner.T_flange_scanner.pose)
+    profiles = [
+        replace(profile, time_s=float(time_s)) for profile, time_s in zip(scan.profiles, sweep.times_s, strict=True)
+    ]
+    return replace(scan, profiles=tuple(profiles))

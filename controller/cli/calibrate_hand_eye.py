@@ -61,8 +61,9 @@ def hand_eye(
         raise InputError("--plan goes with --target sphere", remedy="Leave --plan out.")
     kind = TargetKind(target.value, diameter_mm / 2000.0)
     sigma_rad = float(np.deg2rad(sigma_deg))
-    wanted = Wanted(kind, Asked(speed_scale=speed_scale), sigma_mm / 1e3, sigma_rad, max_sweeps)
     site = load_config(config)
+    asked = Asked(time_offset=site.scanner.sync != "stop_and_go", speed_scale=speed_scale)
+    wanted = Wanted(kind, asked, sigma_mm / 1e3, sigma_rad, max_sweeps)
     with ExitStack() as closing:
         truth_mm = diameter_mm if mock_diameter_mm is None else mock_diameter_mm
         cell = (site, 1.0) if not mock else _mock(closing, site, seed, scenario, target, truth_mm, fast)
