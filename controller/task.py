@@ -18,6 +18,8 @@ from perception.estimate import PortEstimate
 from perception.geometry import Pose
 from perception.scan import Cloud
 
+_UNANSWERED = (RequestResult.PENDING, RequestResult.TIMED_OUT)
+
 
 class Goal(enum.Enum):
     """What can be asked of a mission."""
@@ -118,8 +120,10 @@ class Task:
         return self.now.attempt >= self.config.mission.max_attempts
 
     def must(self, request: ChargerRequest) -> None:
-        """Ask the charger and insist. Raises MissionFault (charger-rejected)."""
+        """Ask the charger and insist. Raises MissionFault (charger-rejected, or what silenced the charger)."""
         result = self.cell.ask(request, 5.0)
+        if result in _UNANSWERED:  # a charger that is silent altogether trips, but perhaps only after this
+            self.cell.supervisor.wait(lambda: False, self.config.charger.lost_ms / 1000.0 * self.cell.time_scale)
         if result is not RequestResult.DONE:
             reason = self.cell.charger.refusal() if result is RequestResult.REJECTED else ""
             detail = f"{request.name}: {result.name}" + (f", {reason}" if reason else "")
