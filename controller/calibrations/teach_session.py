@@ -32,7 +32,8 @@ log = logging.getLogger(__name__)
 
 VIEWS = (0, 1, 0)
 """Viewpoints of the scans after the dock: two different ones, and the first once more."""
-SPOILED = 3
+TRIES = 3
+"""Scans from one viewpoint, until one is accepted."""
 
 
 class TeachError(CalibrationError):
@@ -80,21 +81,23 @@ def _remedy(outcome: Outcome) -> str:
 
 
 def _located(cell: Cell, config: SiteConfig, number: int, report: ProgressReport) -> Pose:
-    """T_base_port from one scan alone. Raises TeachError where it is refused."""
-    for _ in range(SPOILED):
+    """T_base_port from one scan alone: of a few tries the first that is accepted. Raises TeachError without any."""
+    reasons = ""
+    for _ in range(TRIES):
         try:
             cloud = sweep_over(cell, config, plan_view(config, number), report).to_cloud()
-            break
         except SweepError as error:
+            reasons = error.cause
             log.warning("this sweep cannot be used, it is made again: %s", error.cause)
-    else:
-        raise SweepError(f"{SPOILED} sweeps from viewpoint {number + 1} could not be used")
-    future = cell.locator.submit([cloud], Prior(config.port.T_base_port.pose))
-    cell.supervisor.wait(future.done)
-    estimate = future.result()
-    if not estimate.accepted:
-        raise TeachError(
-            f"the port just docked at is not accepted from viewpoint {number + 1}: {'; '.join(estimate.reasons)}",
-            remedy="Check port.model, clean the scanner's window, keep the sun off the port; teach again.",
-        )
-    return estimate.T_ref_port
+            continue
+        future = cell.locator.submit([cloud], Prior(config.port.T_base_port.pose))
+        cell.supervisor.wait(future.done)
+        estimate = future.result()
+        if estimate.accepted:
+            return estimate.T_ref_port
+        reasons = "; ".join(estimate.reasons)
+        log.warning("this scan is not accepted, it is made again: %s", reasons)
+    raise TeachError(
+        f"the port just docked at is not accepted from viewpoint {number + 1}: {reasons}",
+        remedy="Check port.model, clean the scanner's window, keep the sun off the port; teach again.",
+    )
