@@ -95,10 +95,11 @@ class Cell:
     def do(self, command: Command) -> None:
         """Ask the gate, then the driver. Raises MissionFault: gate-refused, what a driver's refusal means, or the trip.
 
-        After a trip nothing is given but what makes safe. A trip that comes while a motion is being given may have sent
+        After a trip nothing is given but what makes safe, and the one motion for which the supervisor makes an
+        exception: out of contact, away from the vehicle, when only the charger is silent (``back_off``). A trip that comes while a motion is being given may have sent
         its stop before it: the arm is stopped once more.
         """
-        if not makes_safe(command):
+        if not makes_safe(command) and not (isinstance(command, BackOff) and self.supervisor.lets_back_off):
             self._raise_trip()
         refusal = check(command, self.situation(), self.limits)
         name, detail = type(command).__name__, _described(command)

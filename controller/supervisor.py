@@ -214,6 +214,11 @@ class Supervisor:
         finally:
             self._backing_off = False
 
+    @property
+    def lets_back_off(self) -> bool:
+        """Whether ``backing_off`` holds just now."""
+        return self._backing_off
+
     def wait_ticks(self, count: int) -> None:
         """Wait until ``count`` further ticks have looked at everything. Raises MissionFault as soon as one trips."""
         with self._changed:

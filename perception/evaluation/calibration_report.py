@@ -5,8 +5,9 @@ from __future__ import annotations
 import multiprocessing
 import os
 from collections.abc import Callable, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy.stats import beta, binom
@@ -46,8 +47,9 @@ def run_trials(
     with ProcessPoolExecutor(jobs, multiprocessing.get_context("spawn"), initializer=_one_thread) as pool:
         solved = [pool.submit(_hand_eye_or_none, seed) for seed in seeds]
         placed = [pool.submit(_placing_or_none, seed) for seed in cells]
-        for done, _ in enumerate(as_completed([*solved, *placed]), 1):
-            report(done, len(solved) + len(placed))
+        everything: list[Future[Any]] = [*solved, *placed]
+        for done, _ in enumerate(as_completed(everything), 1):
+            report(done, len(everything))
         hand_eye += [trial for future in solved if (trial := future.result()) is not None]
         placing += [trial for future in placed for trial in future.result() or ()]
     return hand_eye, placing, [drift_trial(seed) for seed in range(4 * runs)]
