@@ -96,8 +96,8 @@ class Cell:
         """Ask the gate, then the driver. Raises MissionFault: gate-refused, what a driver's refusal means, or the trip.
 
         After a trip nothing is given but what makes safe, and the one motion for which the supervisor makes an
-        exception: out of contact, away from the vehicle, when only the charger is silent (``back_off``). A trip that comes while a motion is being given may have sent
-        its stop before it: the arm is stopped once more.
+        exception: out of contact, away from the vehicle, when only the charger is silent (``back_off``). A trip that
+        comes while a motion is being given may have sent its stop before it: the arm is stopped once more.
         """
         if not makes_safe(command) and not (isinstance(command, BackOff) and self.supervisor.lets_back_off):
             self._raise_trip()
