@@ -88,7 +88,9 @@ class Looking:
         try:
             return future.result()
         except InputError as error:
-            return _refused(self._config.port.model, self._prior(), error)
+            return PortEstimate.nothing_found(
+                self._config.port.model, self._prior(), "base", error.cause, (("total", 0.0),)
+            )
         except PortdockError as error:
             raise MissionFault(FaultCode.PERCEPTION_FAILED, error.cause) from error
         except Exception as error:
@@ -111,21 +113,4 @@ def plan_view(config: SiteConfig, number: int) -> tuple[Viewpoint, ...]:
         scanner_facts(config.scanner).window_m,
         config.scanner.T_flange_scanner.pose,
         config.arm.T_flange_tcp.pose,
-    )
-
-
-def _refused(model: str, prior: Prior, error: InputError) -> PortEstimate:
-    """What cannot be located at all is a refusal with the reason, not a fault."""
-    return PortEstimate(
-        port=model,
-        T_ref_port=prior.T_ref_port,
-        ref="base",
-        covariance=np.full((6, 6), np.inf),
-        rms_residual_m=float("inf"),
-        inlier_ratio=0.0,
-        runner_up_margin=0.0,
-        accepted=False,
-        reasons=(error.cause,),
-        timings_s=(("total", 0.0),),
-        verdict="no-port",
     )

@@ -59,6 +59,7 @@ class MissionSummary:
 
     def to_json(self) -> dict[str, object]:
         """The object that ``portdock dry-run --json`` prints; numbers that are not finite become null."""
+        told = {"warnings": list(self.warnings)} if self.warnings else {}
         return {
             "outcome": self.outcome,
             "fault": self.fault,
@@ -68,7 +69,7 @@ class MissionSummary:
             "contact": None if self.contact is None else _contact_json(self.contact),
             "recording": None if self.recording is None else str(self.recording),
             "report": None if self.report is None else str(self.report),
-            "warnings": list(self.warnings),
+            **told,
         }
 
 

@@ -108,7 +108,7 @@ def _locate_one(cloud: Cloud, model: PortModel, prior: Prior, settings: LocateSe
         timer.lap("refine")
     except (EmptyScanError, DegenerateCloudError) as error:
         _log.info("not located: %s", error)
-        return _nothing(cloud, model, prior, str(error), timer)
+        return PortEstimate.nothing_found(model.name, prior, cloud.frame, str(error), timer.done())
     return _judged(cloud, model, prior, scene, ranked, refined, timer)
 
 
@@ -175,19 +175,3 @@ def _margin(best: float, pose: Pose, ranked: list[tuple[float, Pose]]) -> float:
         return 0.0
     others = [score for score, _ in _others(pose, ranked)]
     return float(np.clip(1.0 - max(others, default=0.0) / best, 0.0, 1.0))
-
-
-def _nothing(cloud: Cloud, model: PortModel, prior: Prior, reason: str, timer: _Timer) -> PortEstimate:
-    return PortEstimate(
-        port=model.name,
-        T_ref_port=prior.T_ref_port,
-        ref=cloud.frame,
-        covariance=np.diag([1.0] * 3 + [np.pi**2] * 3),
-        rms_residual_m=float("inf"),
-        inlier_ratio=0.0,
-        runner_up_margin=0.0,
-        accepted=False,
-        reasons=(reason,),
-        timings_s=timer.done(),
-        verdict="no-port",
-    )

@@ -130,6 +130,8 @@ class EmulatedTime:
     def __init__(self, arm: EmulatedArm) -> None:
         self._arm = arm
         self.facts = Facts(state=State.INSERTING)
+        self.trip = None
+        self.lets_back_off = False
 
     def now_s(self) -> float:
         return self._arm.time_s

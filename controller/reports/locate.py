@@ -103,9 +103,11 @@ def _evidence(found: Confirmed) -> tuple[tuple[str, str, str], ...]:
 
 
 def _rivals(estimate: PortEstimate) -> tuple[str, ...]:
-    """One line for each pose that was tried and lost, as far as the locator tells them."""
-    rivals = getattr(estimate, "runners_up", ())
-    return tuple(place_of(estimate.T_ref_port.inverse() @ pose) for pose in rivals)
+    """One line for each pose that was tried and lost."""
+    inverse = estimate.T_ref_port.inverse()
+    return tuple(
+        f"{place_of(inverse @ pose)} from the pose found; score {score:.2f}" for score, pose in estimate.runner_ups
+    )
 
 
 def _cover_rows(cover: OpenCover | None) -> tuple[tuple[str, str], ...]:

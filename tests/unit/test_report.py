@@ -267,7 +267,7 @@ def test_one_located_scan_has_a_page_of_its_own(tmp_path: Path) -> None:
         "not a safety function",
     ):
         assert fact in page.text, fact
-    assert len(page.addresses) == 2
+    assert len(page.addresses) == 3, "two sides and the residuals on the model"
     assert all(address.startswith("data:image/png;base64,") for address in page.addresses)
     assert page.open == []
 
