@@ -22,6 +22,7 @@ def run_hil(*options: str) -> tuple[int, dict[str, int], str]:
     return done.returncode, counts, done.stdout
 
 
+@pytest.mark.long  # four minutes and more of motion
 def test_the_whole_suite_is_green_against_the_mocks(tmp_path: Path) -> None:
     site = tmp_path / "site.yaml"
     site.write_text(MOCKS)
