@@ -11,14 +11,14 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from controller import wiring
-from controller.cell import Cell, CommandLog
+from controller.cell import Cell, CommandLog, Locator
 from controller.config import SiteConfig
 from controller.pace import PacedClock
 from controller.perception_worker import PerceptionWorker, PreparedModel
 from controller.port_files import load_port
 from controller.scanner_facts import scanner_facts
 from controller.supervisor import Sources, Supervisor
-from drivers.base import ByteSink, MonotonicClock
+from drivers.base import ByteSink, Clock, MonotonicClock
 from perception.geometry import Pose
 
 
@@ -45,7 +45,6 @@ def assemble(
     alive: Callable[[], None] = lambda: None,
 ) -> Assembly:
     """Open everything and start the tick. Raises LinkOpenError, and ConfigError before anything is opened."""
-    port = load_port(config.port.model)
     wall = MonotonicClock()
     clock = PacedClock(pace, wall)
     devices = wiring.build_devices(config, evidence, wall)
@@ -62,7 +61,21 @@ def assemble(
     devices.charger.alert(supervisor.wake)
     supervisor.start()
     closing.callback(supervisor.close)
-    cell = Cell(
+    cell = cell_of(config, devices, locator, supervisor, clock, wall, evidence)
+    return Assembly(cell, model, mated_pose(config))
+
+
+def cell_of(
+    config: SiteConfig,
+    devices: wiring.Devices,
+    locator: Locator,
+    supervisor: Supervisor,
+    clock: PacedClock,
+    wall: Clock,
+    evidence: CommandLog,
+) -> Cell:
+    """The cell of open devices: what the configuration says of limits, reach and latency, put in its place."""
+    return Cell(
         arm=devices.arm,
         scanner=devices.scanner,
         charger=devices.charger,
@@ -70,12 +83,16 @@ def assemble(
         supervisor=supervisor,
         clock=clock,
         wall=wall,
-        limits=wiring.limits_of(config, port),
+        limits=wiring.limits_of(config, load_port(config.port.model)),
         reach=wiring.reach_check(config, devices.arm),
         records=evidence,
         profile_latency_s=scanner_facts(config.scanner).latency_s,
-        time_scale=pace,
+        time_scale=clock.factor,
         car=devices.car,
     )
+
+
+def mated_pose(config: SiteConfig) -> Pose:
+    """``T_port_tcp`` of the mated plug: as taught at this site, else as the port's description has it."""
     taught = config.port.T_port_tcp
-    return Assembly(cell, model, port.T_port_tcp if taught is None else taught.pose)
+    return load_port(config.port.model).T_port_tcp if taught is None else taught.pose

@@ -32,7 +32,7 @@ def time_offset(
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
 ) -> None:
     """Sweep the port forth and back and print ``scanner.latency_ms`` for the site file. The arm will move."""
-    from controller.calibration import measure_time_offset  # devices take seconds to import
+    from controller.calibrations.time_offset_session import measure_time_offset  # devices take seconds to import
 
     with ExitStack() as closing:
         wanted = load_config(config, scanner)

@@ -10,17 +10,16 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from controller import wiring
-from controller.cell import Cell, Locator
+from controller.assembly import cell_of, mated_pose
+from controller.cell import Locator
 from controller.mission import Mission
 from controller.pace import PacedClock
 from controller.perception_worker import PerceptionHere
-from controller.port_files import load_port
 from controller.recording.compare import Difference, first_difference
 from controller.recording.reader import Recording
 from controller.replay.evidence import ReplayEvidence
 from controller.replay.story import Story, story_of
 from controller.replay.ticking import ReplaySupervisor
-from controller.scanner_facts import scanner_facts
 from controller.states import State
 from controller.supervisor import Sources
 from drivers.playback import EndOfRecording, Playback
@@ -118,25 +117,11 @@ def _mission(
     memory: Path,
 ) -> Mission:
     config = story.config
-    port = load_port(config.port.model)
     clock = PacedClock(story.pace, playback)
     devices = wiring.build_played_devices(config, recording, evidence, playback, story.heard_s)
     for device in (devices.charger, devices.scanner, devices.arm):
         device.open()
     sources = Sources(devices.arm, devices.charger, devices.scanner)
     supervisor = ReplaySupervisor(sources, clock, playback, config.host.stall_ms / 1000.0, story)
-    cell = Cell(
-        arm=devices.arm,
-        scanner=devices.scanner,
-        charger=devices.charger,
-        locator=locator,
-        supervisor=supervisor,
-        clock=clock,
-        wall=playback,
-        limits=wiring.limits_of(config, port),
-        reach=wiring.reach_check(config, devices.arm),
-        records=evidence,
-        profile_latency_s=scanner_facts(config.scanner).latency_s,
-        time_scale=story.pace,
-    )
-    return Mission(cell, config, port.T_port_tcp, evidence, memory)
+    cell = cell_of(config, devices, locator, supervisor, clock, playback, evidence)
+    return Mission(cell, config, mated_pose(config), evidence, memory)

@@ -17,7 +17,7 @@ from perception.evaluation.baseline1 import SketchMacroMicroBaseline
 from perception.evaluation.baseline2 import FourPointBaseline
 from perception.evaluation.outcomes import Iterate, Outcome, Problem, Solver
 from perception.evaluation.peers import Open3DPeer
-from perception.evaluation.trials import Condition, Occasion
+from perception.evaluation.trials import Condition, Controls
 from perception.geometry import Array
 from perception.published.feedback import FeedbackRule
 from perception.published.pipeline import Registration, register
@@ -36,8 +36,8 @@ class Method:
     group: Group
     build: Callable[[Array], Solver]
     """From the target (M, 3) in mm: everything that is done once."""
-    when: Occasion = "always"
-    """Under which conditions it is run."""
+    control: Controls | None = None
+    """A control is run under the conditions that ask for it; None: a method, run under all."""
 
 
 def published(settings: MethodSettings, *, rounds: int | None = None) -> Callable[[Array], Solver]:
@@ -86,17 +86,17 @@ def _peer(engine: Literal["ransac", "fgr"], *, icp: bool = True) -> Callable[[Ar
 _ROBUST_FEEDBACK = replace(ROBUST, feedback=FAITHFUL.feedback)
 _XYZ = replace(LITERAL, feedback=FAITHFUL.feedback, best_of_rounds=True)
 
-_CONTROLS: tuple[tuple[str, str, Callable[[Array], Solver], Occasion], ...] = (
-    ("o3d-ransac", "Open3D FPFH + RANSAC, no ICP", _peer("ransac", icp=False), "controls"),
-    ("literal-xyz", "literal keypoints, (18) as read", published(_XYZ), "controls"),
+_CONTROLS: tuple[tuple[str, str, Callable[[Array], Solver], Controls], ...] = (
+    ("o3d-ransac", "Open3D FPFH + RANSAC, no ICP", _peer("ransac", icp=False), "others"),
+    ("literal-xyz", "literal keypoints, (18) as read", published(_XYZ), "others"),
     ("kappa-fixed", "faithful, kappa fixed", published(_ruled("fixed")), "feedback"),
     ("jitter-03", "faithful, kappa fixed, 3 % dropped at random", published(_ruled("jitter", 0.03)), "feedback"),
-    ("jitter-10", "faithful, kappa fixed, 10 % dropped at random", published(_ruled("jitter", 0.10)), "controls"),
+    ("jitter-10", "faithful, kappa fixed, 10 % dropped at random", published(_ruled("jitter", 0.10)), "others"),
     ("jitter-25", "faithful, kappa fixed, 25 % dropped at random", published(_ruled("jitter", 0.25)), "feedback"),
     ("no-denoising", "faithful without denoising", published(replace(FAITHFUL, denoise=False)), "feedback"),
-    ("robust-keypoints", "robust, no dense step", published(replace(ROBUST, dense=False), rounds=1), "controls"),
-    ("robust-no-denoising", "robust, no denoising", published(replace(ROBUST, denoise=False), rounds=1), "controls"),
-    ("robust-feedback", "robust, three rounds with feedback", published(_ROBUST_FEEDBACK, rounds=3), "controls"),
+    ("robust-keypoints", "robust, no dense step", published(replace(ROBUST, dense=False), rounds=1), "others"),
+    ("robust-no-denoising", "robust, no denoising", published(replace(ROBUST, denoise=False), rounds=1), "others"),
+    ("robust-feedback", "robust, three rounds with feedback", published(_ROBUST_FEEDBACK, rounds=3), "others"),
 )
 
 METHODS: tuple[Method, ...] = (
@@ -104,14 +104,14 @@ METHODS: tuple[Method, ...] = (
     Method("faithful", "faithful: the published method as read", "one start", published(FAITHFUL)),
     Method("robust-1", "robust, one start", "one start", published(replace(ROBUST, many_starts=False), rounds=1)),
     Method("b1", "baseline 1 (both its poses)", "one start", _baseline1(many_starts=False)),
-    Method("literal-28", "literal", "28 starts", published(replace(LITERAL, many_starts=True)), when="starts"),
-    Method("faithful-28", "faithful", "28 starts", published(replace(FAITHFUL, many_starts=True)), when="starts"),
+    Method("literal-28", "literal", "28 starts", published(replace(LITERAL, many_starts=True))),
+    Method("faithful-28", "faithful", "28 starts", published(replace(FAITHFUL, many_starts=True))),
     Method("robust", "robust", "28 starts", published(ROBUST, rounds=1)),
-    Method("b1-28", "baseline 1", "28 starts", _baseline1(many_starts=True), when="starts"),
+    Method("b1-28", "baseline 1", "28 starts", _baseline1(many_starts=True)),
     Method("b2", "baseline 2", "global", FourPointBaseline),
-    Method("o3d-ransac-icp", "Open3D FPFH + RANSAC + ICP", "global", _peer("ransac"), when="yardsticks"),
-    Method("o3d-fgr-icp", "Open3D FGR + ICP", "global", _peer("fgr"), when="yardsticks"),
-    *(Method(name, title, "control", build, when) for name, title, build, when in _CONTROLS),
+    Method("o3d-ransac-icp", "Open3D FPFH + RANSAC + ICP", "global", _peer("ransac")),
+    Method("o3d-fgr-icp", "Open3D FGR + ICP", "global", _peer("fgr")),
+    *(Method(name, title, "control", build, which) for name, title, build, which in _CONTROLS),
 )
 
 CONTROL_ROUNDS = 5
@@ -120,7 +120,7 @@ CONTROL_ROUNDS = 5
 
 def chosen(condition: Condition) -> tuple[Method, ...]:
     """The methods that a condition runs."""
-    return tuple(entry for entry in METHODS if entry.when in condition.runs)
+    return tuple(entry for entry in METHODS if entry.control in (None, *condition.controls))
 
 
 def method(name: str) -> Method:

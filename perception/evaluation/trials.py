@@ -29,8 +29,8 @@ _PANEL_BEND_M = 0.0004
 """1 sigma of how far the panel as built is off its design at 60 mm from the port."""
 
 
-Occasion = Literal["always", "yardsticks", "starts", "feedback", "controls"]
-"""Every condition; where the users' yardsticks, several starts for all, feedback's or all controls are run."""
+Controls = Literal["feedback", "others"]
+"""The controls of the feedback, and all others."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,8 +47,8 @@ class Condition:
     single_view: bool = False
     second_port: bool = False
     rounds: int = 5
-    runs: tuple[Occasion, ...] = ("always", "yardsticks", "starts")
-    """Which methods are run: see ``methods.Method.when``."""
+    controls: tuple[Controls, ...] = ()
+    """Which controls are run beside all methods: see ``methods.Method.control``."""
 
 
 INTEGRITIES = (1.00, 0.95, 0.90, 0.85, 0.80, 0.75, 0.70, 0.65)
@@ -56,19 +56,15 @@ INTEGRITIES = (1.00, 0.95, 0.90, 0.85, 0.80, 0.75, 0.70, 0.65)
 
 def integrity_condition(p: float) -> Condition:
     """The condition of Figure 6 at integrity p. Complete scans serve Figures 4, 5, 7 and 8 too: ten registrations."""
-    runs: tuple[Occasion, ...] = ("always", "yardsticks", "starts")
-    if p == 1.0:
-        runs = (*runs, "feedback", "controls")
+    controls: tuple[Controls, ...] = ("feedback", "others") if p == 1.0 else ()
     name, title = f"integrity-{round(100 * p):03d}", f"{round(100 * p)} % integrity"
-    return Condition(name, title, integrity=p, rounds=10 if p == 1.0 else 5, runs=runs)
+    return Condition(name, title, integrity=p, rounds=10 if p == 1.0 else 5, controls=controls)
 
 
 COMPLETE = integrity_condition(1.0)
 PARTIAL = integrity_condition(0.65)
 FAR_START = Condition("start-45", "start 45 deg, 30 mm", start_deg=45.0, start_mm=30.0)
-MANY_OUTLIERS = Condition(
-    "outliers-30", "30 % outliers", outliers=0.30, runs=("always", "yardsticks", "starts", "feedback")
-)
+MANY_OUTLIERS = Condition("outliers-30", "30 % outliers", outliers=0.30, controls=("feedback",))
 SINGLE_VIEW = Condition("single-view", "one random view", single_view=True)
 NOISY = Condition("noise-05", "noise 0.5 mm", noise_mm=0.5)
 SECOND_PORT = Condition("second-port", "second port type", second_port=True)

@@ -1,7 +1,7 @@
 """Every recording in this folder is replayed: a failure in the field becomes a test by copying its file here.
 
-The recorded estimates are given, so that the controller and the drivers' decoding are what is tested, in seconds;
-``make long`` locates anew in the recordings that know exactly what their sweeps were made of.
+The recorded estimates are given, so that the controller and the drivers' decoding are what is tested, in seconds, and a
+change of the locator does not make them differ. ``portdock replay FILE`` alone locates anew.
 """
 
 from __future__ import annotations

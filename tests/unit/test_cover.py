@@ -1,11 +1,8 @@
 """The open charging cover: found where it is, as a box that holds it; nothing found where none is."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
-from controller.obstacles import boxes_beside
 from controller.port_files import load_port
 from perception.cover import find_cover
 from perception.estimate import PortEstimate
@@ -78,16 +75,6 @@ def test_a_panel_alone_has_no_cover() -> None:
 
 def test_a_flap_across_the_inlet_is_no_open_cover() -> None:
     assert find_cover(Cloud(vehicle(120.0, hinge_x=0.0)), estimate(Pose.identity())) is None
-
-
-def test_planning_is_given_a_box_in_the_base_frame_of_accepted_estimates_only() -> None:
-    cloud = Cloud(vehicle(120.0), "base")
-    (box,) = boxes_beside(cloud, estimate(Pose.identity(), ref="base"))
-    assert "left" in box.name
-    assert box.half_size[1] > 0.08
-    assert boxes_beside(cloud, estimate(Pose.identity(), accepted=False, ref="base")) == ()
-    with pytest.raises(ValueError, match="base frame"):
-        boxes_beside(replace(cloud, frame="scanner"), estimate(Pose.identity()))
 
 
 def test_a_simulated_scan_with_a_cover_on_the_left() -> None:

@@ -124,7 +124,7 @@ def test_baseline_2_is_no_strawman(shape, target):
 @pytest.mark.long
 @pytest.mark.timeout(1200)
 def test_results_do_not_depend_on_the_number_of_processes(shape, tmp_path):
-    condition = replace(COMPLETE, rounds=2, runs=("always",))
+    condition = replace(COMPLETE, rounds=2, controls=())
     plan = runner.Plan(3, 2, (condition,), (shape, shape), merges=0)
     one, two = (runner.run(plan, tmp_path / str(jobs), jobs, lambda *_: None) for jobs in (1, 2))
 
