@@ -161,11 +161,6 @@ class Supervisor:
         return self._ticks
 
     @property
-    def stop_requested(self) -> bool:
-        """Whether somebody asked to finish safely."""
-        return self._request.stop
-
-    @property
     def pause(self) -> str | None:
         """Why the mission should be in HOLD now."""
         return None if self._seen is None else pause_reason(self._seen)

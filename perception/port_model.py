@@ -6,7 +6,7 @@ import hashlib
 import logging
 import os
 import tempfile
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 
@@ -105,10 +105,6 @@ class PortModel:
             T_port_tcp or Pose.identity(),
             limits or AcceptanceLimits(),
         )
-
-    def renamed(self, name: str) -> PortModel:
-        """The same model under another name."""
-        return replace(self, name=name)
 
     @cached_property
     def tree(self) -> cKDTree:

@@ -60,10 +60,6 @@ class Sightings:
         """The same profiles with only some of the points (N,)."""
         return replace(self, xz=self.xz[points], profile=self.profile[points])
 
-    def without_sweep(self, number: int) -> Sightings:
-        """All points but those of one sweep."""
-        return self.of(self.sweep_of_point != number)
-
     def in_base(self, mounting: Mounting) -> Array:
         """(N, 3) points in the base frame, were the scanner mounted so."""
         in_flange = self.in_flange(mounting.T_flange_scanner)

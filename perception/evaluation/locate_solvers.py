@@ -53,11 +53,6 @@ def solver(name: str, threads: int) -> Solver:
     return ask
 
 
-def known_solvers() -> tuple[str, ...]:
-    """All names that ``solver`` takes."""
-    return (*OURS, *PEERS)
-
-
 def _answer(estimate: PortEstimate) -> Answer:
     return Answer(
         estimate.T_ref_port,

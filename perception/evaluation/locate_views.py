@@ -1,4 +1,4 @@
-"""What a second viewpoint gains: two sweeps of one vehicle, each with its own part of the port hidden."""
+"""Two sweeps of one vehicle, each with its own part of the port hidden: what merging viewpoints is tested on."""
 
 from __future__ import annotations
 
@@ -6,17 +6,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from perception.estimate import PortEstimate, Prior
+from perception.estimate import Prior
 from perception.evaluation.cuts import random_cuts
 from perception.evaluation.scene import KINDS, Scene, SceneSpec, build_scene
 from perception.evaluation.sensor import SensorModel, cast_sweep
 from perception.evaluation.vehicle import Rng
 from perception.geometry import Pose, exp
-from perception.locate import LocateSettings, locate
-from perception.port_model import PortModel
 from perception.port_shape import PortShape
 from perception.scan import Cloud
-from perception.views_locate import locate_views
 
 _NOISE_M, _OUTLIERS = 0.00025, 0.08
 _ARM_SIGMA = np.array([0.0002] * 3 + [np.deg2rad(0.03)] * 3)
@@ -33,16 +30,6 @@ class TwoViews:
     T_first_view: tuple[Pose, Pose]
     """As the arm tells it."""
     prior: Prior
-
-
-@dataclass(frozen=True, slots=True)
-class ViewsErrors:
-    """Errors (m, rad) of the first sweep alone, and of both: by registration alone and with the arm's poses."""
-
-    integrity: float
-    alone: tuple[float, float]
-    registered: tuple[float, float]
-    with_arm: tuple[float, float]
 
 
 def two_views(shape: PortShape, integrity: float, rng: Rng) -> TwoViews:
@@ -69,19 +56,3 @@ def _sweep(scene: Scene, T_scanner_port: Pose, integrity: float, rng: Rng) -> Cl
     keep = random_cuts(local, on_port, integrity, rng) | (sweep.face < 0)
     origins = None if sweep.cloud.origins is None else sweep.cloud.origins[keep]
     return Cloud(sweep.cloud.points[keep], "scanner", origins)
-
-
-def views_errors(model: PortModel, shape: PortShape, integrity: float, rng: Rng, threads: int = 1) -> ViewsErrors:
-    """One trial."""
-    views, settings = two_views(shape, integrity, rng), LocateSettings(threads=threads)
-
-    def error(estimate: PortEstimate) -> tuple[float, float]:
-        pose, truth = estimate.T_ref_port, views.T_view_port[0]
-        return pose.distance_to(truth), pose.angle_to(truth)
-
-    return ViewsErrors(
-        integrity,
-        error(locate(views.clouds[0], model, views.prior, settings)),
-        error(locate_views(views.clouds, model, views.prior, settings=settings).estimate),
-        error(locate_views(views.clouds, model, views.prior, views.T_first_view, settings).estimate),
-    )

@@ -109,11 +109,6 @@ class Scene:
         keep = self.kind != KINDS.index(kind)
         return replace(self, faces=self.faces[keep], kind=self.kind[keep], part=self.part[keep])
 
-    @property
-    def has_port(self) -> bool:
-        """Whether a plug of ``spec.shape`` may be docked here."""
-        return self.spec.negative is None
-
 
 def negatives_for(shape: PortShape) -> tuple[Negative, ...]:
     """The negatives that make sense for ``shape``: a port that is its own mirror image has no mirrored one."""

@@ -39,11 +39,6 @@ class TreeStats:
     queries: int = 0
     nodes_visited: int = 0
 
-    @property
-    def mean_nodes_visited(self) -> float:
-        """Nodes visited for each query point since the build."""
-        return self.nodes_visited / self.queries if self.queries else 0.0
-
 
 def numba_available() -> bool:
     """Whether the compiled engine can be used."""
