@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 
@@ -39,19 +39,7 @@ NegativeKind = Literal[
 ]
 PositiveKind = Literal["port", "loose-part"]
 Kind = PositiveKind | NegativeKind
-NEGATIVE_KINDS: tuple[NegativeKind, ...] = (
-    "plain",
-    "empty-pocket",
-    "other-recess",
-    "closed-cover",
-    "dust-cap",
-    "plug-inserted",
-    "other-type",
-    "mirrored",
-    "no-contacts",
-    "rolled",
-    "hardly-visible",
-)
+NEGATIVE_KINDS: tuple[NegativeKind, ...] = get_args(NegativeKind)
 POSE_DECIDES: tuple[Kind, ...] = ("port", "loose-part", "hardly-visible")
 """Kinds that show the port asked for where it may be: accepting its true pose is no false accept."""
 MATING: tuple[tuple[str, str], ...] = (("type2", "ccs2"), ("j1772", "ccs1"))
