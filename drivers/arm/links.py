@@ -158,6 +158,12 @@ class Links:
         return None if self._telemetry is None else self._telemetry.newest()
 
     @property
+    def safety_stop(self) -> SafetyMode | None:
+        """The safety mode that keeps the arm from moving, as last heard, or None."""
+        newest = self.newest
+        return None if newest is None or newest.safety in SAFE else newest.safety
+
+    @property
     def lost(self) -> str | None:
         """Why the arm cannot be driven, or None."""
         if self._worker is None:

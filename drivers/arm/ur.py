@@ -15,7 +15,13 @@ import numpy as np
 
 from drivers.arm import messages as m
 from drivers.arm import validate
-from drivers.arm.errors import ArmBusyError, InvalidCommandError, ProgramStoppedError, UnreachableError
+from drivers.arm.errors import (
+    ArmBusyError,
+    ControlLinkLostError,
+    InvalidCommandError,
+    ProgramStoppedError,
+    UnreachableError,
+)
 from drivers.arm.links import Links
 from drivers.arm.motion import MotionTracker
 from drivers.arm.outputs import OutputLink
@@ -177,7 +183,7 @@ class UrArm:
         speed = 0.0 if state is None else float(np.linalg.norm(state.tcp_speed[:3]))
         self._tracker.stop_asked()
         try:
-            self._do("stop", m.Stop(float(deceleration_m_s2), speed), (float(deceleration_m_s2),), STOP_S)
+            self._ask("stop", m.Stop(float(deceleration_m_s2), speed), (float(deceleration_m_s2),), STOP_S)
             proven = self._links.fresh
         except LinkLostError:
             proven = False
@@ -199,7 +205,20 @@ class UrArm:
 
     # --- inside ------------------------------------------------------------------------------------------------------
 
-    def _do(self, name: str, command: m.Command, arguments: tuple[float, ...], timeout_s: float = CALL_S) -> None:
+    def _do(self, name: str, command: m.Command, arguments: tuple[float, ...]) -> None:
+        """As ``_ask``; a link that a safety stop took down with the program is reported as that stop.
+
+        The program that ends between its answer and the library's acknowledgement leaves the library waiting for ever.
+        """
+        try:
+            self._ask(name, command, arguments)
+        except ControlLinkLostError as error:
+            stopped_by = self._links.safety_stop
+            if stopped_by is None:
+                raise
+            raise ProgramStoppedError(f"{name}: the program ended in safety mode {stopped_by.name}") from error
+
+    def _ask(self, name: str, command: m.Command, arguments: tuple[float, ...], timeout_s: float = CALL_S) -> None:
         """Send a command, record it with its result, and turn a refusal into its error."""
         result = "lost"
         try:
