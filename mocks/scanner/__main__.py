@@ -2,7 +2,7 @@
 
 Prints one JSON line, ``{"device": PATH, "protocol": ..., "pid": ...}``, when it listens. What it sees (``--source``):
 
-- ``groove``: a made-up panel, no world needed;
+- ``groove``: a made-up panel, for ``scip`` and ``ld19`` a made-up room; no world needed;
 - ``world``: ray-cast from the mock world in ``--world DIR``. The folder holds ``world.json`` (WorldSpec.save),
   ``port_shape.json`` (WorldSpec.save_shape) and ``blackboard`` (Blackboard.create);
 - any other value: the path of a recorded sweep (.npz, see mocks/scanner/sources.py).
@@ -34,6 +34,7 @@ from typing import Any
 
 import numpy as np
 
+from mocks.scanner import scip
 from mocks.scanner.emulated_clock import EmulatedClock
 from mocks.scanner.ld19 import Ld19Device
 from mocks.scanner.paced_wire import PacedWire
@@ -44,6 +45,7 @@ from mocks.scanner.scip import ScipDevice
 from mocks.scanner.server import Device, serve
 from mocks.scanner.sources import GrooveSource, RecordedSource, Source
 from mocks.scanner.streaming_device import StreamingDevice, StreamTiming
+from mocks.scanner.turning_views import RoomView, View, WorldView
 from mocks.scanner.wire_faults import FaultRates, WireFaults
 
 RATE_HZ = 70.0
@@ -60,8 +62,12 @@ def main(arguments: list[str] | None = None) -> int:
         parser.error("--source world needs --world DIR")
     if options.preset == "ld19" and options.protocol != "framed":
         parser.error("--preset belongs to --protocol framed")
-    if (options.protocol == "scip" or options.preset == "ld19") and options.source != "groove":
+    if options.preset == "ld19" and options.source != "groove":
         parser.error("this device sees a room of its own: it takes no --source")
+    if options.protocol == "scip" and options.source not in ("groove", "world"):
+        parser.error("--protocol scip sees a room of its own or the world: it takes no recorded sweep")
+    if options.coarse and (options.protocol, options.source) != ("scip", "world"):
+        parser.error("--coarse needs --protocol scip --source world")
     logging.basicConfig(level=logging.INFO, format="%(asctime)s %(name)s %(message)s")
     stopping = threading.Event()
     for number in (signal.SIGTERM, signal.SIGINT):
@@ -116,7 +122,7 @@ def _device(
             source, wire, clock, reference_m=options.reference_m, address_in_words=options.address_in_words
         )
     if options.protocol == "scip":
-        return ScipDevice(wire, clock, **own_time)
+        return ScipDevice(wire, clock, source, **own_time)
     if options.preset == "ld19":
         return Ld19Device(wire, clock, **own_time)
     if options.trigger_output is None:
@@ -124,7 +130,13 @@ def _device(
     return StreamingDevice(source, wire, timing, clock, rng, partial(source.edges, options.trigger_output))
 
 
-def _source(options: argparse.Namespace, rng: np.random.Generator) -> tuple[Source, EmulatedClock]:
+def _source(options: argparse.Namespace, rng: np.random.Generator) -> tuple[Source | View, EmulatedClock]:
+    if options.protocol == "scip":
+        if options.source == "groove":
+            return RoomView(scip.STEPS_SEEN, scip.FRONT), EmulatedClock.of_wall(options.time_scale)
+        precision = {"noise_m": options.noise_m, "systematic_m": options.systematic_m}
+        view = WorldView(options.world, scip.ANGLES_RAD, rng, coarse=options.coarse, **precision)
+        return view, view.clock
     if options.source == "groove" and options.protocol == "profiler2":
         return GrooveSource(832, 0.015, options.reference_m), EmulatedClock.of_wall(options.time_scale)
     if options.source == "groove":
@@ -158,6 +170,9 @@ def _parser() -> argparse.ArgumentParser:
     add("--buffer-bytes", type=int, default=1 << 20, help="what gateway and client hold before bytes are lost")
     add("--reference-m", type=float, default=0.10, help="profiler2: distance at which Y is 0")
     add("--address-in-words", action="store_true", help="profiler2: addresses count words, not bytes")
+    add("--coarse", action="store_true", help="scip in a world: on the mount of the second, coarse scanner")
+    add("--noise-m", type=float, default=0.010, help="scip in a world: 1 sigma of each range")
+    add("--systematic-m", type=float, default=0.010, help="scip in a world: 1 sigma of what one surface adds to all")
     add("--trigger-output", type=int, help="with a world: expose on each rising edge of this output of the arm")
     add("--lost", type=float, default=0.0, help="fault: probability that a byte is lost")
     add("--doubled", type=float, default=0.0, help="fault: probability that a byte comes twice")

@@ -1,9 +1,9 @@
 """A SCIP 2.0/2.2 range finder at byte level, with the figures of a URG-04LX: 682 steps over 240 degrees, 10 Hz.
 
 Commands: VV PP II, BM QT RS RT, SS, TM0 TM1 TM2, GD GS GE, MD MS ME, %ST of SCIP 2.2; others get status 0E. Written
-from Hokuyo's specification C-42-03320B, sharing no code with the driver. It sees a room that it makes up: a wall all
-around with a dent that wanders. Not simulated: multi-echo, motor speed (CR), reboot (RB), what wear and sunlight do to
-ranges.
+from Hokuyo's specification C-42-03320B, sharing no code with the driver. What it sees is a view's
+(``mocks.scanner.turning_views``): a made-up room, or the mock world. A scan's time stamp is that of its beginning. Not
+simulated: multi-echo, motor speed (CR), reboot (RB), what wear and sunlight do to ranges.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from mocks.scanner.emulated_clock import EmulatedClock
 from mocks.scanner.paced_wire import PacedWire
+from mocks.scanner.turning_views import RoomView, Scan, View
 
 Ints = NDArray[np.int64]
 
@@ -35,19 +36,26 @@ def encode(values: Ints, characters: int) -> bytes:
     return b"".join(with_sum(text[start : start + 64]) for start in range(0, len(text), 64))
 
 
-def room_mm(number: int) -> tuple[Ints, Ints]:
-    """Range in mm and intensity of each step from FIRST to LAST of scan ``number``; behind the dent an error code."""
-    steps = np.arange(FIRST, LAST + 1)
-    dent = FRONT + 100 * np.sin(0.3 * number)
-    ranges = np.round(1500 + 400 * np.exp(-(((steps - dent) / 20) ** 2)) + 0.5 * steps).astype(np.int64)
-    ranges[:10] = 7  # below DMIN: an error code
-    return ranges, 1000 + steps
+STEPS_SEEN = np.arange(FIRST, LAST + 1)
+ANGLES_RAD = -2 * np.pi * (STEPS_SEEN - FRONT) / STEPS
+"""Of each step, to the right of the front: steps count to the left."""
+LATEST_SCANS = 20
+"""So far back a scan may lie whose view is known late."""
 
 
 class ScipDevice:
     """Answers commands and streams scans."""
 
-    def __init__(self, wire: PacedWire, clock: EmulatedClock, *, clock_offset_s: float = 0.0, ppm: float = 0.0) -> None:
+    def __init__(
+        self,
+        wire: PacedWire,
+        clock: EmulatedClock,
+        view: View | None = None,
+        *,
+        clock_offset_s: float = 0.0,
+        ppm: float = 0.0,
+    ) -> None:
+        self._view = view or RoomView(STEPS_SEEN, FRONT)
         self._wire = wire
         self._clock = clock
         self._clock_offset_s = clock_offset_s
@@ -69,10 +77,11 @@ class ScipDevice:
                 self._send(self._answer(line))
 
     def collect(self) -> None:
-        """Send the scan that is due."""
-        number = int(self._clock.now_s() / SCAN_S)
-        if self._stream is None or number < self._next_scan:
+        """Send the newest scan that is due and whose view is known."""
+        found = None if self._stream is None else self._newest(self._next_scan)
+        if self._stream is None or found is None:
             return
+        number, seen = found
         skip = int(self._stream[12:13])
         self._next_scan = number + 1 + skip
         if self._wire.backlog_s(self._clock.now_s()) > 2 * SCAN_S:
@@ -80,9 +89,17 @@ class ScipDevice:
         endless = self._stream[13:15] == b"00"
         self._left -= 0 if endless else 1
         echo = self._stream[:13] + (b"00" if endless else b"%02d" % self._left) + self._stream[15:]
-        self._send(echo + b"\n" + with_sum(b"99") + self._scan(self._stream, number) + b"\n")
+        self._send(echo + b"\n" + with_sum(b"99") + _lines(self._stream, seen, self._ticks(number * SCAN_S)) + b"\n")
         if not endless and self._left == 0:
             self._stream, self._laser = None, False
+
+    def _newest(self, first: int) -> tuple[int, Scan] | None:
+        """The newest scan from number ``first`` on of which it is known what it saw."""
+        newest = int(self._clock.now_s() / SCAN_S)
+        for number in range(newest, max(first, newest - LATEST_SCANS) - 1, -1):
+            if (seen := self._view.scan(number, number * SCAN_S)) is not None:
+                return number, seen
+        return None
 
     def stop(self) -> None:
         """Nothing runs by itself."""
@@ -124,7 +141,7 @@ class ScipDevice:
     def _state(self) -> tuple[str, ...]:
         laser = "ON" if self._laser else "OFF"
         measuring = "Measuring by sensitive mode" if self._stream else "Idle"
-        time_text = f"{self._ticks():06X}"
+        time_text = f"{self._ticks(self._clock.now_s()):06X}"
         return (
             "MODL:URG-04LX(mock)",
             f"LASR:{laser}",
@@ -141,16 +158,15 @@ class ScipDevice:
             return b"004"
         return b"003" if self._laser else (b"002" if self._adjusting else b"000")
 
-    def _ticks(self) -> int:
-        time_s = self._clock_offset_s + self._clock.now_s() * (1.0 + self._ppm * 1e-6)
-        return round(time_s * 1e3) & 0xFFFFFF
+    def _ticks(self, time_s: float) -> int:
+        return round((self._clock_offset_s + time_s * (1.0 + self._ppm * 1e-6)) * 1e3) & 0xFFFFFF
 
     def _adjust(self, mode: bytes) -> tuple[bytes, bytes]:
         """TM0 enter, TM1 time, TM2 leave the adjust mode."""
         if mode == b"1":
             if not self._adjusting:
                 return b"04", b""
-            return b"00", encode(np.array([self._ticks()]), 4)
+            return b"00", encode(np.array([self._ticks(self._clock.now_s())]), 4)
         wanted = mode == b"0"
         if wanted == self._adjusting:
             return (b"02" if wanted else b"03"), b""
@@ -170,8 +186,10 @@ class ScipDevice:
             return error, b""
         if not self._laser:
             return b"10", b""
-        number = int(self._clock.now_s() / SCAN_S)
-        return b"00", self._scan(code + arguments + b"000", number)
+        if (found := self._newest(0)) is None:
+            return b"50", b""  # the world has no arm yet
+        number, seen = found
+        return b"00", _lines(code + arguments, seen, self._ticks(number * SCAN_S))
 
     def _begin(self, arguments: bytes, line: bytes) -> bytes:
         error = _range_error(arguments, 13)
@@ -186,19 +204,20 @@ class ScipDevice:
         self._next_scan = int(self._clock.now_s() / SCAN_S) + 1
         return b"00"
 
-    def _scan(self, command: bytes, number: int) -> bytes:
-        """Time stamp and data lines of scan ``number`` as ``command`` wants them."""
-        first, last, cluster = int(command[2:6]), int(command[6:10]), max(1, int(command[10:12]))
-        ranges, light = room_mm(number)
-        starts = np.arange(first, last + 1, cluster) - FIRST
-        ends = last - FIRST + 1
-        least = np.array([ranges[start : min(start + cluster, ends)].min() for start in starts])
-        stamp = encode(np.array([self._ticks()]), 4)
-        if command[1:2] == b"E":
-            return stamp + encode(np.stack([least, light[starts]], axis=1).ravel(), 3)
-        if command[1:2] == b"S":
-            return stamp + encode(np.minimum(least, 4095), 2)
-        return stamp + encode(least, 3)
+
+def _lines(command: bytes, seen: Scan, ticks: int) -> bytes:
+    """Time stamp and data lines of a scan as ``command`` wants them."""
+    first, last, cluster = int(command[2:6]), int(command[6:10]), max(1, int(command[10:12]))
+    ranges, light = seen
+    starts = np.arange(first, last + 1, cluster) - FIRST
+    ends = last - FIRST + 1
+    least = np.array([ranges[start : min(start + cluster, ends)].min() for start in starts])
+    stamp = encode(np.array([ticks]), 4)
+    if command[1:2] == b"E":
+        return stamp + encode(np.stack([least, light[starts]], axis=1).ravel(), 3)
+    if command[1:2] == b"S":
+        return stamp + encode(np.minimum(least, 4095), 2)
+    return stamp + encode(least, 3)
 
 
 def _parameter(text: str) -> bytes:

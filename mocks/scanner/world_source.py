@@ -30,30 +30,52 @@ NARROW = SensorModel(
 """Optics like those of a Profiler 2: about 30 mm wide, some 56 mm deep."""
 
 
+class VehicleSeen:
+    """The world's vehicle, and where one of the arm's scanners is before it."""
+
+    def __init__(self, folder: Path, *, coarse: bool = False) -> None:
+        """``coarse``: the second scanner, on a mount of its own. Raises ValueError where the world has none."""
+        self.spec = WorldSpec.load(folder)
+        self.board = _attach(folder)
+        vehicle_rng = np.random.default_rng(self.spec.seed)
+        negative: Negative | None = "plain" if self.spec.panel == "plain" else None
+        shape = WorldSpec.load_shape(folder)
+        if self.spec.panel in ("sphere", "corner"):
+            self.scene = target_scene(self.spec.panel, self.spec.sphere_radius_m, shape)
+        else:
+            self.scene = build_scene(SceneSpec(shape, negative), vehicle_rng)
+        mount = self.spec.T_flange_coarse if coarse else self.spec.T_flange_scanner
+        if mount is None:
+            raise ValueError(f"the world in {folder} has no second scanner")
+        self._T_port_base = self.spec.port_pose.inverse()
+        self._T_flange_scanner = Pose.from_vector(mount)
+
+    @property
+    def clock(self) -> EmulatedClock:
+        """The world's time."""
+        return EmulatedClock(self.board.world_time_s, self.board.time_scale)
+
+    def T_port_scanner(self, time_s: float) -> Pose | None:
+        """Where the scanner was; None as long as the arm mock has not published its pose for that time."""
+        matrix = self.board.arm_pose_at(time_s)
+        return None if matrix is None else self._T_port_base @ Pose.from_matrix(matrix) @ self._T_flange_scanner
+
+
 class WorldSource:
     """``Source`` on the mock world in a run's folder."""
 
     def __init__(self, folder: Path, rng: np.random.Generator, optics: SensorModel | None = None) -> None:
-        self._spec = WorldSpec.load(folder)
-        self._board = _attach(folder)
+        self._seen = VehicleSeen(folder)
+        self._spec, self._board, self._scene = self._seen.spec, self._seen.board, self._seen.scene
         self._rng = rng
-        vehicle_rng = np.random.default_rng(self._spec.seed)
-        negative: Negative | None = "plain" if self._spec.panel == "plain" else None
-        shape = WorldSpec.load_shape(folder)
-        if self._spec.panel in ("sphere", "corner"):
-            self._scene = target_scene(self._spec.panel, self._spec.sphere_radius_m, shape)
-        else:
-            self._scene = build_scene(SceneSpec(shape, negative), vehicle_rng)
         self._sensor = replace(optics or SensorModel(), noise_m=self._spec.profile_noise_m)
         self._glaring = False
-        self._T_port_base = self._spec.port_pose.inverse()
-        self._T_flange_scanner = Pose.from_vector(self._spec.T_flange_scanner)
         cast_profile(self._scene, Pose.identity(), self._sensor, np.random.default_rng(0))  # builds the ray-caster
 
     @property
     def clock(self) -> EmulatedClock:
         """The world's time."""
-        return EmulatedClock(self._board.world_time_s, self._board.time_scale)
+        return self._seen.clock
 
     def edges(self, output: int, after: int) -> list[tuple[int, float]]:
         """(number, world time) of the rising edges of one of the arm's digital outputs after a number."""
@@ -65,13 +87,9 @@ class WorldSource:
         self._board.put_sweep(sweep)
         self._glaring = sweep <= self._spec.glare_until_sweep
 
-    def _T_port_scanner(self, time_s: float) -> Pose | None:
-        matrix = self._board.arm_pose_at(time_s)
-        return None if matrix is None else self._T_port_base @ Pose.from_matrix(matrix) @ self._T_flange_scanner
-
     def lines(self, first: int, times_s: Sequence[float]) -> list[Array]:
         """Points (M, 2) measured at each time, valid ones only, up to the first whose pose is not published yet."""
-        poses = list(_known(self._T_port_scanner(time_s) for time_s in times_s))
+        poses = list(_known(self._seen.T_port_scanner(time_s) for time_s in times_s))
         sensor = replace(self._sensor, glare=GLARE if self._glaring else 0.0)
         if len(poses) < 2:
             return [cast_profile(self._scene, pose, sensor, self._rng) for pose in poses]

@@ -51,6 +51,8 @@ class WorldSpec:
     time_scale: float = 1.0
     """Emulated seconds per wall second (--fast)."""
     arm_model: str = "ur10e"
+    T_flange_coarse: Vector6 | None = None
+    """Where a second, coarse scanner sits; None: there is none."""
     joint_offsets: Vector6 = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     """True joint angles minus those that the arm reports: its flange is not quite where it says."""
     start_joints: Vector6 = (0.0, -1.5708, 1.5708, -1.5708, -1.5708, 0.0)

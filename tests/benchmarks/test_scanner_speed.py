@@ -27,6 +27,7 @@ from drivers.scanner.scip import ScipGeometry, ScipScanner, ScipSettings
 from drivers.scanner.serial_link import SerialLink, SerialSettings
 from mocks.scanner import ld19, profiler2, scip, wide_xz
 from mocks.scanner.pty_line import PtyLine
+from mocks.scanner.turning_views import RoomView
 from tests.contract.scanner_bench import mock
 
 pytestmark = [pytest.mark.benchmark_ratio, pytest.mark.timeout(600)]
@@ -113,7 +114,7 @@ def profiler2_stream() -> tuple[bytes, int]:
 
 
 def scip_stream() -> tuple[bytes, int]:
-    ranges, _ = scip.room_mm(3)
+    ranges, _ = RoomView(scip.STEPS_SEEN, scip.FRONT).scan(3, 0.3)
     scan = b"MD0044072501000\n99b\n" + scip.encode(np.array([12345]), 4) + scip.encode(ranges, 3) + b"\n"
     return scan * 100, 100
 
