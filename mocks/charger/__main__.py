@@ -1,10 +1,11 @@
 """A charger's control unit as a process of its own: ``python -m mocks.charger --link PATH [--world DIR]``.
 
-The far end of the CAN wire: a slcan adapter at byte level on a pty (or several, as taps on one bus), or any bus of
-python-can, and behind it the charger: states, proximity, plug lock, contactor, pre-charge and current ramp,
-temperature, pilot, emergency stop, and its own watch over the robot's heartbeat. Frames are encoded from the DBC by
-cantools; no code is shared with the driver. Prints one JSON line that says where it listens, then serves until
-SIGTERM; control lines on standard input are described in ``mocks.charger.controls``.
+The far end of the CAN wire: a slcan adapter at byte level on a pty (or several, as taps on one bus), or with
+``--channel`` any bus of python-can, a real slcan adapter's tty among them. Behind it the charger: states, proximity,
+plug lock, contactor, pre-charge and current ramp, temperature, pilot, emergency stop, and its own watch over the
+robot's heartbeat. Frames are encoded from the DBC by cantools; no code is shared with the driver. Prints one JSON line
+that says where it listens, then serves until SIGTERM; control lines on standard input are described in
+``mocks.charger.controls``.
 
 Not simulated: bit timing, arbitration and bus load; error frames and bus-off (a pty has none: the kernel's slcan driver
 is the place for them); the tty's baud rate; the vehicle's own protocol (ISO 15118, GB/T 27930, CHAdeMO); insulation
@@ -65,13 +66,14 @@ def main(arguments: list[str] | None = None) -> int:
 def _ports(options: argparse.Namespace, stack: contextlib.ExitStack) -> list[BusPort]:
     """Open every connection to the bus; the stack closes them."""
     ports: list[BusPort] = []
-    if options.interface == "slcan" and not options.link:
+    emulated = options.interface == "slcan" and not options.channel
+    if emulated and not options.link:
         folder = stack.enter_context(tempfile.TemporaryDirectory(prefix="portdock-can-"))
         options.link = [Path(folder) / "can"]
     for link in options.link:
         ports.append(SlcanPort(link, options.bitrate))
         stack.callback(ports[-1].close)
-    if options.interface != "slcan":
+    if not emulated:
         ports.append(PythonCanPort(options.interface, options.channel, options.bitrate, options.fd))
         stack.callback(ports[-1].close)
     return ports
@@ -85,10 +87,12 @@ def _complain(status: int, error: Exception) -> int:
 def _options(arguments: list[str] | None) -> argparse.Namespace:
     parser = argparse.ArgumentParser(prog="mocks.charger", description="A charger's control unit on a mock CAN bus.")
     parser.add_argument(
-        "--link", type=Path, action="append", default=[], help="symlink to a slcan adapter's tty; may be repeated"
+        "--link", type=Path, action="append", default=[], help="symlink to an emulated slcan adapter; may be repeated"
     )
     parser.add_argument("--interface", default="slcan", help="slcan, or a python-can interface")
-    parser.add_argument("--channel", default="", help="channel of the python-can interface")
+    parser.add_argument(
+        "--channel", default="", help="a bus that is there: can0, or a slcan adapter's tty; slcan emulates one without"
+    )
     parser.add_argument("--bitrate", type=int, default=250_000)
     parser.add_argument("--fd", action="store_true", help="CAN FD, where the interface has it")
     parser.add_argument("--dbc", type=Path, default=None)

@@ -120,7 +120,7 @@ class PythonCanPort:
     def _taken(self) -> can.Message | None:
         try:
             return self._bus.recv(0)
-        except (can.CanError, OSError):
+        except (can.CanError, OSError, ValueError, LookupError):  # the last two: bytes that are no slcan line
             return None
 
     def send(self, frame: BusFrame) -> None:

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 import sys
+import tty
 from pathlib import Path
 
 import pytest
@@ -39,6 +41,26 @@ def test_without_options_it_finds_a_place_and_outlives_its_standard_input() -> N
     assert not channel.parent.exists()
 
 
+def test_it_takes_a_slcan_adapter_that_is_there_for_its_bus() -> None:
+    master, slave = os.openpty()
+    tty.setraw(slave)
+    channel = os.ttyname(slave)
+    command = [sys.executable, "-m", "mocks.charger", "--interface", "slcan", "--channel", channel]
+    process = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, text=True)
+    try:
+        said = b""
+        while said.count(b"T0CFF20568") < 3:  # CH_Status, eight bytes
+            said += os.read(master, 4096)
+        assert b"S5\r" in said, "250 kbit/s"
+        assert process.stdout is not None
+        assert json.loads(process.stdout.readline()) == {"interface": "slcan", "channel": channel}
+    finally:
+        process.terminate()
+        process.wait(10)
+        os.close(master)
+        os.close(slave)
+
+
 def test_a_bad_control_line_changes_nothing(tmp_path: Path) -> None:
     mock = MockProcess(tmp_path)
     mock.control(silnet=True)
@@ -55,6 +77,7 @@ def test_a_bad_control_line_changes_nothing(tmp_path: Path) -> None:
         (["--dbc", "/nowhere.dbc"], 2),
         (["--world", "/nowhere"], 2),
         (["--interface", "socketcan"], 2),
+        (["--interface", "slcan", "--channel", "/dev/none"], 3),
     ],
 )
 def test_options_that_cannot_work_are_one_line(options: list[str], status: int) -> None:
