@@ -121,11 +121,15 @@ class Cell:
             raise MissionFault(trip.code, trip.detail)
 
     def explained(self, code: FaultCode, detail: str) -> MissionFault:
-        """The fault, or the one behind it: a stop or a lost link shows in what it makes fail before a tick names it."""
+        """The fault, or the one behind it: a stop or a lost link shows in what it makes fail before a tick names it.
+
+        Raises PauseRequested if what is behind it is only a pause, such as a person in the protected zone.
+        """
         try:
             self.supervisor.wait_ticks(CAUSE_TICKS)
         except MissionFault as cause:
             return cause
+        self.supervisor.raise_if_paused()
         return MissionFault(code, detail)
 
     def situation(self) -> Situation:

@@ -35,6 +35,7 @@ class FaultCode(enum.Enum):
     PROTECTIVE_STOP = "protective-stop"
     SAFEGUARD_STOP = "safeguard-stop"
     EMERGENCY_STOP = "emergency-stop"
+    SAFETY_SYSTEM = "safety-system"
     CHARGER_FAULT = "charger-fault"
     CHARGER_REJECTED = "charger-rejected"
     DEADLINE = "deadline"
@@ -66,6 +67,7 @@ REMEDIES: dict[FaultCode, str] = {
     FaultCode.PROTECTIVE_STOP: "Look at the arm, free it, release the protective stop on the pendant; then reset.",
     FaultCode.SAFEGUARD_STOP: "Clear the protected zone; then reset.",
     FaultCode.EMERGENCY_STOP: "Remove the danger, release the emergency stop, power the arm on; then reset.",
+    FaultCode.SAFETY_SYSTEM: "Read the pendant's safety message, remove its cause, restart safety there; then reset.",
     FaultCode.CHARGER_FAULT: "See the charger's fault code; then reset.",
     FaultCode.CHARGER_REJECTED: "See the charger's state in the report; reset the charger.",
     FaultCode.DEADLINE: "See in the report which state took too long, and what it waited for.",

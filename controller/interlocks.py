@@ -76,7 +76,7 @@ def _arm_fault(arm: ArmState, state: State) -> Fault | None:
         case SafetyMode.SAFEGUARD_STOP if state not in PAUSABLE_STATES:
             return Fault(FaultCode.SAFEGUARD_STOP, "the protected zone was entered")
         case SafetyMode.VIOLATION | SafetyMode.FAULT | SafetyMode.RECOVERY:
-            return Fault(FaultCode.ARM_NOT_READY, f"safety mode {arm.safety.name}")
+            return Fault(FaultCode.SAFETY_SYSTEM, f"the robot's safety system stopped it: {arm.safety.name}")
     if arm.mode is not RobotMode.RUNNING and state is not State.SELF_CHECK:
         return Fault(FaultCode.ARM_NOT_READY, f"robot mode {arm.mode.name}")
     return None

@@ -112,8 +112,6 @@ class Mission:
             return self._event_or_interruption()
         except MissionFault as error:
             return self._latch(error.fault)
-        except LinkLostError as error:
-            return self._latch(self.task.cell.explained(FaultCode.ARM_LINK_LOST, error.cause).fault)
         except PortdockError as error:
             return self._latch(Fault(FaultCode.INTERNAL, f"{error.code}: {error.cause}"))
         except Exception as error:  # a defect must still end in FAULT with the arm stopped, not in a traceback
@@ -122,7 +120,7 @@ class Mission:
 
     def _event_or_interruption(self) -> Event | None:
         try:
-            return self._steps[self.state](self.task)
+            return self._explained_step()
         except StopRequested:
             if self.state is State.CHARGING and self.task.desk.leaving:  # which switches off, and moves nothing
                 self.task.cell.supervisor.clear_stop()
@@ -134,6 +132,12 @@ class Mission:
         except PauseRequested as pause:
             log.warning("hold: %s", pause)
             return self._freeze(Event.PAUSED)
+
+    def _explained_step(self) -> Event | None:
+        try:
+            return self._steps[self.state](self.task)
+        except LinkLostError as error:
+            raise self.task.cell.explained(FaultCode.ARM_LINK_LOST, error.cause) from error
 
     def _pass(self, event: Event) -> None:
         """One transition: told to supervisor, gate, recorder and terminal before the next step starts."""

@@ -178,8 +178,7 @@ class Supervisor:
                 state = self._facts.state
                 if self._request.stop and (state, Event.STOP) in STOPS:
                     raise StopRequested
-                if self.pause is not None and (state, Event.PAUSED) in PAUSES:
-                    raise PauseRequested(self.pause)
+                self.raise_if_paused()
                 seen_s = self._wall.now_s()
                 if until():
                     self.on_waited(seen_s)
@@ -188,6 +187,11 @@ class Supervisor:
                     self.on_waited(seen_s)
                     return False
                 self._changed.wait(timeout=0.1)
+
+    def raise_if_paused(self) -> None:
+        """Raises PauseRequested while there is a reason to pause, in a state that can."""
+        if self.pause is not None and (self._facts.state, Event.PAUSED) in PAUSES:
+            raise PauseRequested(self.pause)
 
     def idle(self, until: Callable[[], bool]) -> None:
         """Wait for ``until``, looked at each tick, whatever is latched: for FAULT, which only a person ends."""

@@ -117,6 +117,7 @@ class Kicker:
         self._arm = arm
         self._on = threading.Event()
         self._end = threading.Event()
+        self.errors: list[Exception] = []
         self._thread = threading.Thread(target=self._run, daemon=True)
         self._on.set()
         self._thread.start()
@@ -126,8 +127,8 @@ class Kicker:
             if self._on.is_set():
                 try:
                     self._arm.kick_watchdog()
-                except Exception:
-                    continue  # a lost link is what many tests are about
+                except Exception as error:  # a lost link is what many tests are about
+                    self.errors.append(error)
 
     def pause(self) -> None:
         self._on.clear()

@@ -12,8 +12,8 @@ from collections.abc import Callable
 from controller.faults import MissionFault
 from controller.replay.evidence import WAIT
 from controller.replay.story import Story
-from controller.states import PAUSES, STOPS, Event
-from controller.supervisor import TICK_S, PauseRequested, Sources, StopRequested, Supervisor
+from controller.states import STOPS, Event
+from controller.supervisor import TICK_S, Sources, StopRequested, Supervisor
 from drivers.base import Clock
 from drivers.playback import EndOfRecording, Playback
 
@@ -69,8 +69,7 @@ class ReplaySupervisor(Supervisor):
             raise MissionFault(self._trip.code, self._trip.detail)
         if self._request.stop and (state, Event.STOP) in STOPS:
             raise StopRequested
-        if self.pause is not None and (state, Event.PAUSED) in PAUSES:
-            raise PauseRequested(self.pause)
+        self.raise_if_paused()
 
     def wait_ticks(self, count: int) -> None:
         """Let ``count`` ticks pass. Raises MissionFault as soon as one trips."""

@@ -2,6 +2,8 @@
 
 Also ends the controller's program over the dashboard, the third way to the robot, when a safety stop begins or the
 worker is lost: a paused program could be resumed with its old motion, and a script without its client has no purpose.
+From a safety stop on no command but a stop reaches the worker, until the links are restarted: ur_rtde looks at two of
+the six kinds of stop only, and in the others waits seconds for a program that has ended.
 """
 
 from __future__ import annotations
@@ -52,13 +54,17 @@ class Links:
         self._telemetry: Telemetry | None = None
         self._worker: WorkerClient | None = None
         self._ender: threading.Thread | None = None
+        self._restarting = False
         self._safe = True
+        self._ended_by: SafetyMode | None = None
+        """The safety stop that ended the program; stays until the links are restarted, also when it is released."""
 
     # --- life --------------------------------------------------------------------------------------------------------
 
     def open(self) -> None:
         """Check the robot, start both links, set TCP and payload and read them back. Raises LinkOpenError."""
         check_robot(self._settings, self._clock)
+        self._ended_by = None
         try:
             if not self.fresh:
                 self._close_telemetry()
@@ -71,11 +77,15 @@ class Links:
 
     def restart(self) -> None:
         """A new worker and script; the state link stays if it is sound, and also if this fails."""
-        self._close_worker()
-        if self._ender is not None:
-            self._ender.join()
-        self._end_program_quietly()
-        self.open()
+        self._restarting = True
+        try:
+            self._close_worker()
+            if self._ender is not None:
+                self._ender.join()
+            self._end_program_quietly()
+            self.open()
+        finally:
+            self._restarting = False
 
     def close(self) -> None:
         """End the script and both links. Idempotent."""
@@ -157,11 +167,29 @@ class Links:
         """The newest sample, however old."""
         return None if self._telemetry is None else self._telemetry.newest()
 
+    def ask(self, command: m.Command, timeout_s: float) -> m.Reply:
+        """The control worker's answer; that a safety stop has ended the program, at once. Raises ControlLinkLostError.
+
+        A worker that is lost in its wait for such a program is that, too, and no lost link.
+        """
+        may_pass = isinstance(command, m.Stop)
+        if self.ended is None or may_pass:
+            try:
+                return self.worker.ask(command, timeout_s)
+            except ControlLinkLostError:
+                if self.ended is None or may_pass:
+                    raise
+        return m.Reply(0, "program-stopped", self.ended)
+
+    def kick(self) -> None:
+        """Pass a kick on; none is owed while the worker is replaced. Raises ControlLinkLostError."""
+        if not self._restarting:
+            self.worker.kick()
+
     @property
-    def safety_stop(self) -> SafetyMode | None:
-        """The safety mode that keeps the arm from moving, as last heard, or None."""
-        newest = self.newest
-        return None if newest is None or newest.safety in SAFE else newest.safety
+    def ended(self) -> str | None:
+        """Which safety stop has ended the program since the links were opened, or None."""
+        return None if self._ended_by is None else f"the program ended in safety mode {self._ended_by.name}"
 
     @property
     def lost(self) -> str | None:
@@ -207,5 +235,6 @@ class Links:
         safe = state.safety in SAFE
         if self._safe and not safe:
             log.warning("safety mode %s: the program is ended", state.safety.name)
+            self._ended_by = state.safety
             self._begin_to_end_program()
         self._safe = safe

@@ -49,26 +49,29 @@ class MotionTracker:
         if motion is not None and motion.outcome is None:
             motion.outcome = MotionProgress(motion.motion_id, False, True, "ended by a restart of the control link")
 
-    def progress(self, status: m.Status, since_s: float, state: ArmState | None, lost: str | None) -> MotionProgress:
-        """The last motion's progress, from the worker's status (known ``since_s``) and the newest sample."""
+    def progress(self, status: m.Status, since_s: float, state: ArmState | None, over: str | None) -> MotionProgress:
+        """The last motion's progress, from the worker's status (known ``since_s``) and the newest sample.
+
+        ``over``: why no motion can go on, whatever the worker said last.
+        """
         motion = self._motion
         if motion is None:
             return MotionProgress(0, running=False, failed=False, detail="no motion yet")
         if motion.outcome is None:
-            motion.outcome = _outcome(motion, status, since_s, state, lost)
+            motion.outcome = _outcome(motion, status, since_s, state, over)
         return motion.outcome or MotionProgress(motion.motion_id, True, False, _hint(state))
 
 
 def _outcome(
-    motion: _Motion, status: m.Status, since_s: float, state: ArmState | None, lost: str | None
+    motion: _Motion, status: m.Status, since_s: float, state: ArmState | None, over: str | None
 ) -> MotionProgress | None:
     """How the motion ended, or None while it runs."""
 
     def failed(detail: str) -> MotionProgress:
         return MotionProgress(motion.motion_id, False, True, detail)
 
-    if lost is not None:
-        return failed(f"link lost: {lost}")
+    if over is not None:
+        return failed(over)
     if status.motion_id != motion.motion_id or status.phase in ("running", "stopping"):
         return None  # the worker's word on this motion is still on its way, or it runs
     if status.phase == "failed":

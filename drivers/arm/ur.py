@@ -15,13 +15,7 @@ import numpy as np
 
 from drivers.arm import messages as m
 from drivers.arm import validate
-from drivers.arm.errors import (
-    ArmBusyError,
-    ControlLinkLostError,
-    InvalidCommandError,
-    ProgramStoppedError,
-    UnreachableError,
-)
+from drivers.arm.errors import ArmBusyError, InvalidCommandError, ProgramStoppedError, UnreachableError
 from drivers.arm.links import Links
 from drivers.arm.motion import MotionTracker
 from drivers.arm.outputs import OutputLink
@@ -104,8 +98,9 @@ class UrArm:
     def motion(self) -> MotionProgress:
         """What became of the last motion."""
         lost = self._links.lost
-        if lost is not None:
-            return self._tracker.progress(m.Status(False, 0, "idle"), 0.0, self._links.newest, lost)
+        over = self._links.ended or (lost and f"link lost: {lost}")
+        if over is not None:
+            return self._tracker.progress(m.Status(False, 0, "idle"), 0.0, self._links.newest, over)
         worker = self._links.worker
         return self._tracker.progress(worker.status, worker.status_s, self._links.newest, None)
 
@@ -183,7 +178,7 @@ class UrArm:
         speed = 0.0 if state is None else float(np.linalg.norm(state.tcp_speed[:3]))
         self._tracker.stop_asked()
         try:
-            self._ask("stop", m.Stop(float(deceleration_m_s2), speed), (float(deceleration_m_s2),), STOP_S)
+            self._do("stop", m.Stop(float(deceleration_m_s2), speed), (float(deceleration_m_s2),), STOP_S)
             proven = self._links.fresh
         except LinkLostError:
             proven = False
@@ -201,28 +196,15 @@ class UrArm:
 
     def kick_watchdog(self) -> None:
         """Pass the supervisor's sign of life on; does not wait. Raises ControlLinkLostError."""
-        self._links.worker.kick()
+        self._links.kick()
 
     # --- inside ------------------------------------------------------------------------------------------------------
 
-    def _do(self, name: str, command: m.Command, arguments: tuple[float, ...]) -> None:
-        """As ``_ask``; a link that a safety stop took down with the program is reported as that stop.
-
-        The program that ends between its answer and the library's acknowledgement leaves the library waiting for ever.
-        """
-        try:
-            self._ask(name, command, arguments)
-        except ControlLinkLostError as error:
-            stopped_by = self._links.safety_stop
-            if stopped_by is None:
-                raise
-            raise ProgramStoppedError(f"{name}: the program ended in safety mode {stopped_by.name}") from error
-
-    def _ask(self, name: str, command: m.Command, arguments: tuple[float, ...], timeout_s: float = CALL_S) -> None:
+    def _do(self, name: str, command: m.Command, arguments: tuple[float, ...], timeout_s: float = CALL_S) -> None:
         """Send a command, record it with its result, and turn a refusal into its error."""
         result = "lost"
         try:
-            reply = self._links.worker.ask(command, timeout_s)
+            reply = self._links.ask(command, timeout_s)
             result = f"{reply.refusal}: {reply.detail}" if reply.refusal else "ok"
         finally:
             self._sink.arm_command(ArmCommandRecord(self._clock.now_s(), name, arguments, result))

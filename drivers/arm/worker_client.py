@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import logging
 import os
+import select
 import signal
 import socket
 import subprocess
@@ -117,8 +118,13 @@ class WorkerClient:
         raise ControlLinkLostError(f"the arm's control link is lost: {self._lost}")
 
     def kick(self) -> None:
-        """Pass one kick on; does not wait. Raises ControlLinkLostError."""
-        self._send(m.Kick())
+        """Pass one kick on; does not wait. Raises ControlLinkLostError.
+
+        A worker that has not started yet is owed none; one that does not read them has enough, and more would fill the
+        line until this call waits for it.
+        """
+        if self._started is not None and (self._lost is not None or self._takes_more()):
+            self._send(m.Kick())
 
     def quit(self) -> None:
         """Let the worker stop the arm and end; kill it if it does not. Idempotent."""
@@ -142,6 +148,12 @@ class WorkerClient:
                 self._connection.send(message)
         except OSError as error:
             raise ControlLinkLostError("the arm's control link is lost: its process has ended") from error
+
+    def _takes_more(self) -> bool:
+        try:
+            return bool(select.select([], [self._connection], [], 0.0)[1])
+        except (OSError, ValueError):
+            return True  # closed: sending says so
 
     # --- watching ----------------------------------------------------------------------------------------------------
 

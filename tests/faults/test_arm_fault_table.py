@@ -34,6 +34,8 @@ from tests.arm_rig import WATCHDOG_S, Rig, settings, until
 DOWN = np.array([0.0, 0.0, -0.02, 0.0, 0.0, 0.0])
 BUSY_S = 2.0
 """What a busy machine may add to any time here."""
+PATIENT_S = 10.0
+"""How long an operator waits for the dashboard."""
 
 
 # --- what the arm is doing when the fault strikes ---------------------------------------------------------------------
@@ -153,7 +155,7 @@ def put_in_order(rig: Rig) -> None:
     mock.do("remote", on=True)
     mock.do("release_estop")
     mock.do("safety", mode="NORMAL")
-    with Dashboard(mock.host) as dashboard:
+    with Dashboard(mock.host, PATIENT_S) as dashboard:
         for command in ("stop", "power on", "brake release"):
             dashboard.ask(command)
         until(lambda: dashboard.robot_mode() == "RUNNING", "the controller is ready")

@@ -220,6 +220,19 @@ def test_a_safeguard_stop_that_ends_does_not_let_the_motion_go_on(rig) -> None:
     works_again(rig)
 
 
+def test_the_supervisors_kicks_meet_no_lost_link_while_the_arm_is_recovered(rig) -> None:
+    """As in HOLD, where the tick goes on: a kick that fails there would end the mission."""
+    set_moving(rig)
+    rig.mock.do("safeguard", open=True)
+    until(lambda: rig.arm.motion().failed, "the motion has failed")
+    rig.mock.do("safeguard", open=False)
+    rig.mock.until_still()
+    rig.kicker.errors.clear()
+    rig.arm.recover()
+    works_again(rig)
+    assert not rig.kicker.errors
+
+
 def test_a_speed_slider_at_zero_is_no_fault_but_said(rig) -> None:
     motion = set_moving(rig)
     rig.mock.do("slider", fraction=0.0)

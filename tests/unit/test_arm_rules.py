@@ -166,9 +166,9 @@ class Following:
         self.number = self.tracker.next_id()
         self.tracker.begin(self.number, make_state().T_base_tcp)
 
-    def look(self, phase: m.Phase, state: ArmState, lost: str | None = None, number: int | None = None):
+    def look(self, phase: m.Phase, state: ArmState, over: str | None = None, number: int | None = None):
         status = m.Status(True, self.number if number is None else number, phase)
-        return self.tracker.progress(status, 9.9, state, lost)
+        return self.tracker.progress(status, 9.9, state, over)
 
 
 def test_before_any_motion_nothing_runs_and_nothing_has_failed() -> None:
@@ -205,7 +205,7 @@ def test_done_elsewhere_than_at_the_target_is_a_failure() -> None:
 
 
 def test_a_lost_link_or_an_ended_script_is_a_failure() -> None:
-    assert Following().look("running", make_state(), lost="its process was ended by SIGSEGV").failed
+    assert Following().look("running", make_state(), over="link lost: its process was ended by SIGSEGV").failed
     stopped = Following().look("failed", make_state(safety=SafetyMode.PROTECTIVE_STOP))
     assert stopped.failed
     assert "PROTECTIVE_STOP" in stopped.detail
@@ -214,7 +214,7 @@ def test_a_lost_link_or_an_ended_script_is_a_failure() -> None:
 def test_an_outcome_does_not_change_any_more() -> None:
     following = Following()
     assert not following.look("done", make_state()).failed
-    assert not following.look("failed", make_state(), lost="later").failed
+    assert not following.look("failed", make_state(), over="later").failed
 
 
 def test_a_restart_of_the_link_ends_a_motion_that_ran() -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import signal
 import socket
 import threading
 import time
@@ -353,4 +355,24 @@ def test_patience_stretches_the_wait_for_an_answer():
     client = WorkerClient(on_lost=lambda _: None, patience=3.0)  # never started, so it answers nothing
     with pytest.raises(ControlLinkLostError, match=r"no answer to Stop within 0\.3 s"):
         client.ask(m.Stop(1.0, 0.0), timeout_s=0.1)
+    client.quit()
+
+
+def test_kicks_that_a_worker_does_not_read_block_neither_the_tick_nor_its_end():
+    client = WorkerClient(on_lost=lambda _: None, patience=1000.0)
+    client._started = m.Started(())
+    os.kill(client.pid, signal.SIGSTOP)
+    begun = time.monotonic()
+    for _ in range(5000):
+        client.kick()
+    client.quit()
+    assert time.monotonic() - begun < 30.0  # 1.5 on a quiet machine
+
+
+def test_before_the_worker_has_started_no_kick_comes_before_its_orders():
+    client = WorkerClient(on_lost=lambda _: None, patience=1.0)
+    client.kick()
+    answer = client.start(m.Start("127.0.0.1", 125.0, False, 10.0, (0.0,) * 6, 1.0, (0.0,) * 3), 30.0)
+    assert isinstance(answer, m.StartFailed)
+    assert "Kick" not in answer.reason
     client.quit()

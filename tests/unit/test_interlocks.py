@@ -107,6 +107,12 @@ def test_a_protective_stop_trips_everywhere(state: State) -> None:
 
 
 @pytest.mark.parametrize("state", POWERED)
+@pytest.mark.parametrize("mode", [SafetyMode.VIOLATION, SafetyMode.FAULT, SafetyMode.RECOVERY])
+def test_what_the_robots_safety_system_stopped_is_named_everywhere(state: State, mode: SafetyMode) -> None:
+    assert code(with_arm(replace(GOOD, state=state), safety=mode)) is FaultCode.SAFETY_SYSTEM
+
+
+@pytest.mark.parametrize("state", POWERED)
 def test_a_person_in_the_zone_pauses_before_contact_and_trips_from_contact_on(state: State) -> None:
     seen = with_arm(replace(GOOD, state=state), safety=SafetyMode.SAFEGUARD_STOP)
     if state in PAUSABLE_STATES:

@@ -129,6 +129,7 @@ FAULTS: dict[str, tuple[Callable[[Rig], None], FaultCode]] = {
         FaultCode.PROTECTIVE_STOP,
     ),
     "robot e-stop": (lambda rig: setattr(rig.arm, "safety", SafetyMode.ROBOT_ESTOP), FaultCode.EMERGENCY_STOP),
+    "safety violation": (lambda rig: setattr(rig.arm, "safety", SafetyMode.VIOLATION), FaultCode.SAFETY_SYSTEM),
     "charger e-stop": (lambda rig: rig.charger.forced.update(estop=True), FaultCode.EMERGENCY_STOP),
     "charger fault": (
         lambda rig: rig.charger.forced.update(state=ChargerState.FAULT),
