@@ -43,14 +43,14 @@ def assess(seen: Snapshot, without_charger: bool = False) -> Fault | None:
         return fault
     if seen.charger is not None and (fault := _charger_fault(seen.charger, seen.state)):
         return fault
+    if seen.late_s > seen.stall_s and (seen.state in MOVING_STATES or seen.arm is None or seen.charger is None):
+        return Fault(FaultCode.SUPERVISOR_STALLED, f"a tick came {seen.late_s * 1000:.0f} ms late")
     if seen.arm is None:
         return Fault(FaultCode.ARM_LINK_LOST, seen.arm_problem)
     if seen.charger is None and not without_charger:
         return Fault(FaultCode.CHARGER_LINK_LOST, seen.charger_problem)
     if not seen.scanner_up and seen.state in (State.STAGING, State.SCANNING):
         return Fault(FaultCode.SCANNER_LINK_LOST, seen.scanner_problem)
-    if seen.late_s > seen.stall_s and seen.state in MOVING_STATES:
-        return Fault(FaultCode.SUPERVISOR_STALLED, f"a tick came {seen.late_s * 1000:.0f} ms late")
     if seen.overdue:
         return Fault(FaultCode.DEADLINE, seen.overdue)
     return None

@@ -5,19 +5,21 @@ from __future__ import annotations
 import tempfile
 import time
 from contextlib import ExitStack
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from controller.assembly import assemble
+from controller.campaign.faulty_cell import FaultyCell
 from controller.campaign.findings import Findings
 from controller.campaign.inject import MAKE, Scene, undo_disk
-from controller.campaign.rules import STOPPING_S
+from controller.campaign.killed import drift_after_death_m, run_to_its_death
+from controller.campaign.rules import KILLED, STOPPING_S
 from controller.campaign.watching import LivePlug
 from controller.config import SiteConfig
-from controller.faults import Outcome
+from controller.faults import Fault
 from controller.mission import Mission
-from controller.mock_cell import MockCell
 from controller.port_files import load_port
 from controller.recording.reader import read_recording
 from controller.recording.recorder import Recorder
@@ -63,35 +65,54 @@ def run_cell(fault: str, state: State, config: SiteConfig, folder: Path, pace: f
     """Run it and leave the recording in ``folder``. Raises LinkOpenError when the mocks do not come up."""
     begun_s = time.monotonic()
     world = draw_scenario("nominal", config, load_port(config.port.model), seed)
-    with (
-        tempfile.TemporaryDirectory(prefix="portdock-campaign-") as wires,
-        MockCell(Path(wires), config, world, seed, pace) as mocks,
-    ):
-        outcome, made, plug, end_s = _mission(fault, state, mocks, folder, pace)
+    with tempfile.TemporaryDirectory(prefix="portdock-campaign-") as wires, ExitStack() as closing:
+        mocks = FaultyCell(Path(wires), config, world, seed, pace)
+        closing.enter_context(mocks)
+        run = _killed if fault == "process-killed" else _mission
+        end = run(fault, state, mocks, folder, pace)
         undo_disk()
         mocks.repair()
         next_start, next_travel_m = _next_start(mocks.config, folder, pace)
-    states = _samples(folder / RECORDING_NAME)
+    recording = folder / RECORDING_NAME
     return Findings(
         fault=fault,
         state=state.name,
-        made=made,
-        outcome=outcome.kind,
-        code=None if outcome.fault is None else outcome.fault.code.value,
-        detail="" if outcome.fault is None else outcome.fault.detail,
-        drift_m=_drift_m(folder / RECORDING_NAME, states),
-        live_travel_m=plug.live_travel_m,
-        clear=plug.clear,
-        recorded_until_s=max(0.0, end_s - states[-1].time_s) if states and fault != "arm-frozen" else 0.0,
+        made=end.made,
+        outcome=end.outcome,
+        code=None if end.fault is None else end.fault.code.value,
+        detail="" if end.fault is None else end.fault.detail,
+        drift_m=_drift_m(recording, _samples(recording)) if end.drift_m is None else end.drift_m,
+        live_travel_m=end.live_travel_m,
+        clear=end.clear,
+        recorded_until_s=max(0.0, end.time_s - _last_s(recording)),
         next_start=next_start,
         next_travel_m=next_travel_m,
         duration_s=round(time.monotonic() - begun_s, 1),
     )
 
 
-def _mission(
-    fault: str, state: State, mocks: MockCell, folder: Path, pace: float
-) -> tuple[Outcome, bool, LivePlug, float]:
+@dataclass(frozen=True, slots=True)
+class _End:
+    """How the mission with the fault ended."""
+
+    made: bool
+    outcome: str
+    fault: Fault | None
+    time_s: float
+    """Host time."""
+    live_travel_m: float = 0.0
+    clear: bool | None = None
+    drift_m: float | None = None
+    """Asked of the mock; None: as the recording has it."""
+
+
+def _killed(fault: str, state: State, mocks: FaultyCell, folder: Path, pace: float) -> _End:
+    killed, gone_s = run_to_its_death(lambda: _mission(fault, state, mocks, folder, pace))
+    drift_m = drift_after_death_m(mocks, 1.0 / mocks.config.arm.watchdog_hz)
+    return _End(killed, KILLED if killed else "ended", None, gone_s, drift_m=drift_m)
+
+
+def _mission(fault: str, state: State, mocks: FaultyCell, folder: Path, pace: float) -> _End:
     with ExitStack() as closing:
         recorder = Recorder(folder / RECORDING_NAME, MonotonicClock())
         closing.callback(recorder.close)
@@ -109,7 +130,7 @@ def _mission(
             plug.settle(mission.task.plan)
         summary = summary_of(mission.now, watcher.durations(live.cell.clock.now_s()), None, folder)
         close_recording(recorder, live.cell, summary)
-    return outcome, watcher.made, plug, end_s
+    return _End(watcher.made, outcome.kind, outcome.fault, end_s, plug.live_travel_m, plug.clear)
 
 
 def _next_start(config: SiteConfig, folder: Path, pace: float) -> tuple[str, float | None]:
@@ -126,6 +147,13 @@ def _next_start(config: SiteConfig, folder: Path, pace: float) -> tuple[str, flo
             return f"{error.code}: {error.cause}", None
     says = outcome.kind if outcome.fault is None else f"{outcome.kind}: {outcome.fault.code.value}"
     return says, _travel_m(_samples(path))
+
+
+def _last_s(path: Path) -> float:
+    """Host time of the last readable arm sample or transition: a lost arm gives no more samples."""
+    recording = read_recording(path)
+    times = [state.time_s for state in recording.arm_states()] + [step.time_s for step in recording.transitions()]
+    return max(times, default=0.0)
 
 
 def _samples(path: Path) -> list[ArmState]:

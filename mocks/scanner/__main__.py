@@ -10,6 +10,8 @@ Prints one JSON line, ``{"device": PATH, "protocol": ..., "pid": ...}``, when it
 ``--recording FILE`` plays a recording's scanner bytes back as they were (mocks/scanner/recorded_line.py); a client that
 asks something else than the recorded one ends the mock with exit code 1.
 
+Faults of the line can be switched while it runs (mocks/scanner/controls.py).
+
 SIGUSR1 pulls the plug: the symlink goes and an open client's line breaks. SIGUSR2 plugs it in again under another pty.
 Without ``--baud`` the device speaks at whatever rate the client has set; with it, a client at another rate gets
 garbage.
@@ -35,6 +37,7 @@ from typing import Any
 import numpy as np
 
 from mocks.scanner import scip
+from mocks.scanner.controls import listen
 from mocks.scanner.emulated_clock import EmulatedClock
 from mocks.scanner.ld19 import Ld19Device
 from mocks.scanner.paced_wire import PacedWire
@@ -81,7 +84,9 @@ def main(arguments: list[str] | None = None) -> int:
     if options.preset == "ld19":  # it streams whether or not somebody reads: a port that is closed keeps little of it
         options.buffer_bytes = min(options.buffer_bytes, 4096)
     buffer_bytes = int(options.buffer_bytes * max(1.0, clock.scale))  # the client's wall time to react stays the same
-    wire = PacedWire(line, WireFaults(rates, rng), options.baud, buffer_bytes)
+    faults = WireFaults(rates, rng)
+    listen(faults, sys.stdin)
+    wire = PacedWire(line, faults, options.baud, buffer_bytes)
     timing = StreamTiming(
         options.rate_hz or RATE_HZ / max(1.0, clock.scale / 2.0),  # ray-casting must keep pace with a fast world
         options.exposure_s,

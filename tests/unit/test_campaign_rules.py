@@ -38,8 +38,22 @@ def test_every_cell_has_a_rule_or_says_why_it_is_impossible(fault: str, state: S
     assert state in STATES or wanted.impossible
 
 
-def test_every_fault_of_the_catalogue_can_be_made() -> None:
-    assert set(MAKE) == set(FAULTS)
+def test_every_fault_of_the_catalogue_can_be_made_or_is_impossible_everywhere() -> None:
+    nowhere = {fault for fault in FAULTS if all(rule(fault, state).impossible for state in STATES)}
+    assert set(MAKE) == set(FAULTS) - nowhere
+    assert nowhere == {"arm-corrupted"}
+
+
+def test_each_link_is_cut_frozen_late_and_corrupted_where_that_can_be() -> None:
+    for link in ("arm", "charger", "scanner"):
+        assert {f"{link}-{way}" for way in ("cut", "frozen", "late", "corrupted")} <= set(FAULTS)
+
+
+def test_a_killed_process_leaves_the_arm_standing_and_a_recording_to_the_last_second() -> None:
+    killed = replace(GOOD, fault="process-killed", outcome="killed", code=None, next_start="fault: plug-inserted")
+    for state in STATES:
+        assert violations(killed, rule("process-killed", state)) == ()
+    assert violations(replace(killed, drift_m=0.01), rule("process-killed", State.STAGING))
 
 
 def test_what_breaks_contact_by_force_of_a_fault_stands_still() -> None:

@@ -154,3 +154,10 @@ def test_the_most_urgent_cause_is_named_first() -> None:
 @pytest.mark.parametrize("state", [State.FAULT, State.OFFLINE])
 def test_a_latched_fault_is_not_replaced_by_another(state: State) -> None:
     assert assess(replace(GOOD, state=state, arm=None, charger=None, overdue="x")) is None
+
+
+@pytest.mark.parametrize("state", POWERED)
+def test_a_host_that_was_suspended_is_named_not_the_links_that_it_did_not_read(state: State) -> None:
+    silent = replace(GOOD, state=state, arm=None, arm_problem="silent", charger=None, charger_problem="silent")
+    assert code(silent) is FaultCode.ARM_LINK_LOST
+    assert code(replace(silent, late_s=3.0)) is FaultCode.SUPERVISOR_STALLED
