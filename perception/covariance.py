@@ -13,12 +13,14 @@ from perception.geometry import Array
 from perception.refine import Refined
 
 PATCH_M = 0.006
-ACROSS_M = 0.00002
-ACROSS_SIGMAS = 0.12
+ACROSS_M = 0.00001
+ACROSS_SIGMAS = 0.2
 """Standard deviation across the axis that no residual shows, and its share of the noise: mixed pixels and shadows
 displace what bounds the port sideways, all of it in one direction."""
 LEVER_M = 0.025
 """How far from the axis such a displacement acts when it turns the port."""
+TILT_SIGMAS = 0.03
+"""The same for what tilts it, at the same lever: vibration along the axis that is slow enough to look like a tilt."""
 
 
 def covariance(refined: Refined) -> Array:
@@ -31,7 +33,8 @@ def covariance(refined: Refined) -> Array:
     sums = np.add.reduceat(pull, np.searchsorted(patch[order], np.arange(count)), axis=0)
     clustered = inverse @ (sums.T @ sums) @ inverse * (count / max(count - 6, 1))
     across = ACROSS_M + ACROSS_SIGMAS * refined.scale_m
-    unseen = np.square([across, across, 0.0, 0.0, 0.0, across / LEVER_M])
+    tilt = TILT_SIGMAS * refined.scale_m / LEVER_M
+    unseen = np.square([across, across, 0.0, tilt, tilt, across / LEVER_M])
     return np.asarray((inverse + clustered)[:6, :6] + np.diag(unseen))
 
 

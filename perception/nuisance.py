@@ -15,11 +15,11 @@ from numpy.typing import NDArray
 
 from perception.geometry import Array
 
-DRAFT_RAD = 0.003
-SHRINK = 0.0003
-LEVEL_M = 0.00015
-SPEED = 0.002
-VIBRATION_M = 0.00002
+DRAFT_RAD = 0.001
+SHRINK = 0.0002
+LEVEL_M = 0.0001
+SPEED = 0.004
+VIBRATION_M = 0.00001
 EDGE_M = 0.0002
 KNOT_M = 0.008
 

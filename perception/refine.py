@@ -34,13 +34,13 @@ _EDGE_SIGMAS = 2.5
 """A point nearer to an edge than this many standard deviations may belong to either side."""
 _EDGE_NOISE_M = 0.0001
 """Standard deviation of where an edge seems to be: the scan's spacing, the part's roundings, vibration."""
-_WALL_NOISE_M = 0.00003
-"""A wall is seen at grazing angles, through few points and mixed pixels: each of them is this much worse."""
+_WALL_SHARE = (0.4, 1.1)
+"""Least and greatest noise of a wall's points, as a share of the noise on flats."""
 _EDGE_GATE_M = 0.0004
 """A point further than this on the wrong side of an edge is something else."""
 _EDGE_LEAST_M = 0.00002
 """Below this the least-absolute weights stop growing."""
-_EDGES_M = 0.000015
+_EDGES_M = 0.00003
 """All edges together fix the port sideways no better than this: what makes an edge look displaced is common to many."""
 
 
@@ -110,12 +110,24 @@ def _robust_scale(distance: Array, previous: float) -> float:
     return float(np.clip(1.4826 * np.median(close), max(_MIN_SCALE_M, 0.67 * previous), previous))
 
 
+def _wall_scale(matches: Matches, scale: float) -> float:
+    """Standard deviation of the distances to walls, as the scan itself shows it.
+
+    Noise along the ray would leave a grazed wall measured better than a flat, but not every scanner's noise acts so; a
+    gate too narrow for it throws good points away with the mixed pixels.
+    """
+    away = np.abs(matches.distance[np.abs(matches.normal[:, 2]) < 0.5])
+    away = away[away < 5 * scale]
+    least, most = _WALL_SHARE
+    seen = 1.4826 * float(np.median(away)) if len(away) >= 30 else scale
+    return float(np.clip(seen, least * scale, most * scale))
+
+
 def _equations(pose: Pose, matches: Matches, model: PortModel, scale: float, gate: float) -> Refined:
     """One row for each point's distance to its surface, and one for each point or ray on the wrong side of an edge."""
     taper = np.clip(model.surface.edge_m[matches.index] / (_EDGE_SIGMAS * scale) - 0.5, 0.0, 1.0)
     wall = 1.0 - np.abs(matches.normal[:, 2])
-    # Range noise acts along the ray: a grazed wall is measured better across itself than a flat is.
-    sigma = np.sqrt(scale**2 * matches.incidence + (_WALL_NOISE_M * wall) ** 2)
+    sigma = np.sqrt(scale**2 * (1.0 - wall) + _wall_scale(matches, scale) ** 2 * wall)
     weight = _tukey(matches.distance / sigma, max(_TUKEY, gate / scale)) * taper / sigma**2
     edges = edge_rows(matches, model, scale)
     # Least absolute, not least squares: a few false points far beyond an edge must not outvote many just beyond it.
