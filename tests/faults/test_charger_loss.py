@@ -93,6 +93,25 @@ def test_a_charger_that_is_back_resumes_nothing(tmp_path: Path, state: State) ->
         rig.supervisor.close()
 
 
+def test_a_mission_on_hold_ends_too_and_nothing_moves(tmp_path: Path) -> None:
+    rig = _rig(tmp_path)
+    silence = Silence(rig)
+
+    def on_state(name: str) -> None:
+        if name == "SCANNING":
+            rig.arm.safety = SafetyMode.SAFEGUARD_STOP  # a person in the zone
+        if name == "HOLD":
+            silence()
+
+    rig.watch.on_state = on_state
+    outcome = rig.run()
+    assert outcome.fault is not None
+    assert outcome.fault.code is FaultCode.CHARGER_LINK_LOST
+    assert rig.watch.states[-2:] == ["HOLD", "FAULT"]
+    assert not MOTIONS & set(silence.moves_after)
+    assert silence.requests_after[-1] is ChargerRequest.ABORT
+
+
 @pytest.mark.parametrize("state", [State.READY, State.HOLD])
 def test_at_rest_the_loss_trips_too(tmp_path: Path, state: State) -> None:
     rig = _rig(tmp_path)

@@ -16,7 +16,7 @@ from drivers.base import ChargerRequest, ChargerState, Pilot, PlugLock, Proximit
 from drivers.charger.contract import BEAT_SIGNALS, CHARGER_SIGNALS, THREE_FRAMES, bundled_dbc
 from perception.errors import InputError
 from tests.unit.charger_frames import FRAMES
-from tests.unit.test_charger_fd import HEARTBEAT, POSE, STATUS
+from tests.unit.test_charger_fd import LITERALS
 
 DATABASE: Any = cantools.database.load_file(bundled_dbc(), strict=True)
 
@@ -147,8 +147,8 @@ def test_the_page_names_every_signal_and_carries_the_test_vectors() -> None:
 
 def test_the_page_carries_the_vectors_of_can_fd() -> None:
     page = PAGE.read_text()
-    for literal in (HEARTBEAT, POSE, STATUS):
-        assert f"`{literal.hex(' ').upper()}`" in page
+    for name, (literal, _) in LITERALS.items():
+        assert f"| {name} | `{literal.hex(' ').upper()}`" in page
 
 
 def test_another_dbc_is_described_and_a_missing_one_named(tmp_path: Path) -> None:

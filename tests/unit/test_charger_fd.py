@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from drivers.base import ChargerState, DockPose, Heartbeat, PlugLock
+from drivers.base import ChargerRequest, ChargerState, DockPose, Heartbeat, PlugLock
 from drivers.charger import messages
 from drivers.charger.contract import Contract, bundled_dbc
 from drivers.charger.e2e import Receiver, Scheme, Verdict
@@ -20,8 +20,17 @@ from perception.geometry import Pose
 
 CONTRACT = Contract(scheme=Scheme.P5)
 HEARTBEAT = bytes.fromhex("82 1E C8 02 07 ED 01 34 12 00 00 00")
+COMMAND = bytes.fromhex("AD CF 0E 04 2A 7D 00 00")
 POSE = bytes.fromhex("44 08 07 11 39 65 0C 00 5C 69 FE FF 4A 83 28 00 00 40 00 C0 00 40 00 40 1F C0 17 BB 32 C8 00 00")
 STATUS = bytes.fromhex("AE 9B FF 06 92 0A 2A 02 00 00 00 00")
+ELECTRICAL = bytes.fromhex("A6 E7 09 D0 0F 83 FF 55 7D 00 00 00")
+LITERALS = {
+    "RC_Heartbeat": (HEARTBEAT, 0xFF10),
+    "RC_Command": (COMMAND, 0xFF11),
+    "RC_DockPose": (POSE, 0xFF15),
+    "CH_Status": (STATUS, 0xFF20),
+    "CH_Electrical": (ELECTRICAL, 0xFF21),
+}
 
 
 def _pose(turn: Rotation, xyz: tuple[float, ...] = (0.812345, -0.1041, 2.65505)) -> DockPose:
@@ -41,9 +50,18 @@ def test_literal_frames() -> None:
     assert messages.encode_pose(CONTRACT, 7, 200, _pose(turn), now_s=10.38) == [POSE]
     status = messages.decode_status(CONTRACT["CH_Status"], STATUS)
     assert (status.state, status.lock, status.ack_sequence) == (ChargerState.CHARGING, PlugLock.LOCKED, 42)
+    asked = messages.encode_command(CONTRACT["RC_Command"], 14, ChargerRequest.ENABLE_POWER, 42, 125)
+    assert asked == COMMAND
+    values = messages.decode_electrical(CONTRACT["CH_Electrical"], ELECTRICAL)
+    assert (values.voltage_v, values.current_a) == pytest.approx((404.8, -12.5))
+    assert (values.temperature_c, values.charge_percent) == (35, 62.5)
 
 
-@pytest.mark.parametrize(("frame", "data_id"), [(HEARTBEAT, 0xFF10), (POSE, 0xFF15), (STATUS, 0xFF20)])
+def test_every_message_has_its_literal() -> None:
+    assert set(LITERALS) == {codec.name for codec in CONTRACT.codecs}
+
+
+@pytest.mark.parametrize(("frame", "data_id"), LITERALS.values())
 def test_checksums_agree_with_the_mocks_own(frame: bytes, data_id: int) -> None:
     assert fits(frame, "e2e-p5", data_id)
 
