@@ -3,7 +3,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 
-.PHONY: dry-run test check long bench test-socketcan setup-socketcan install clean
+.PHONY: dry-run test check long bench mutation test-socketcan setup-socketcan install clean
 
 dry-run: $(STAMP)  ## one docking cycle with mock hardware
 	$(BIN)/portdock dry-run
@@ -22,6 +22,10 @@ long: $(STAMP)  ## what takes too long for every change
 
 bench: $(STAMP)  ## ratios measured in one run, on a quiet machine
 	$(BIN)/pytest tests/benchmarks -m benchmark_ratio --timeout 3600
+
+mutation: $(STAMP)  ## do the tests notice changes of states, gate and codecs? about an hour; table names bound at import are not changed
+	$(BIN)/mutmut run --max-children 1
+	$(BIN)/mutmut results
 
 test-socketcan: $(STAMP)  ## the charger's link on a real kernel's CAN, in user-mode Linux; says so when that is missing
 	$(BIN)/python tests/socketcan/run_in_uml.py

@@ -8,7 +8,18 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from controller.states import IN_CONTACT, LATCHING, TRANSITIONS, Event, State, as_dot, as_markdown, next_state
+from controller.config import load_config
+from controller.states import (
+    IN_CONTACT,
+    LATCHING,
+    RESTING,
+    TRANSITIONS,
+    Event,
+    State,
+    as_dot,
+    as_markdown,
+    next_state,
+)
 
 events = st.lists(st.sampled_from(Event), max_size=60)
 
@@ -92,3 +103,104 @@ def test_the_printed_table_names_every_transition_that_does_not_latch() -> None:
         if event not in LATCHING:
             assert f"| {state.name} | {event.value} | {target.name} |" in table
     assert as_dot().startswith("digraph") and "INSERTING -> VERIFYING" in as_dot()
+
+
+DECIDED = """
+OFFLINE STARTED SELF_CHECK
+SELF_CHECK CHECKS_PASSED READY
+SELF_CHECK CHARGING_FOUND CHARGING
+SELF_CHECK UNDOCK_REQUESTED RELEASING
+READY DOCK_REQUESTED STAGING
+STAGING AT_STAGING SCANNING
+SCANNING SCAN_COMPLETE LOCATING
+LOCATING LOCATED APPROACHING
+LOCATING NEXT_VIEWPOINT STAGING
+LOCATING NOT_LOCATED READY
+APPROACHING AT_PRE_CONTACT INSERTING
+INSERTING SEATED VERIFYING
+INSERTING NOT_INSERTED RETREATING
+VERIFYING MATED CHARGING
+VERIFYING NOT_MATED RETREATING
+CHARGING CHARGE_COMPLETE RELEASING
+CHARGING UNDOCK_REQUESTED RELEASING
+RELEASING RELEASED RETREATING
+RETREATING RETREATED READY
+RETREATING RETREATED_TO_RETRY STAGING
+HOLD RESUMED STAGING
+FAULT RESET SELF_CHECK
+STAGING PAUSED HOLD
+SCANNING PAUSED HOLD
+LOCATING PAUSED HOLD
+APPROACHING PAUSED HOLD
+STAGING STOP READY
+SCANNING STOP READY
+LOCATING STOP READY
+HOLD STOP READY
+APPROACHING STOP RETREATING
+INSERTING STOP RETREATING
+VERIFYING STOP RELEASING
+CHARGING STOP RELEASING
+SELF_CHECK SHUT_DOWN OFFLINE
+READY SHUT_DOWN OFFLINE
+CHARGING SHUT_DOWN OFFLINE
+FAULT SHUT_DOWN OFFLINE
+"""
+"""The whole table but for the latching events, written out once more: no cell changes unnoticed."""
+
+
+def test_every_cell_of_the_table_is_as_written_here() -> None:
+    wanted = {(a, e): b for a, e, b in (line.split() for line in DECIDED.split("\n") if line)}
+    for state, event in itertools.product(State, Event):
+        if state is not State.OFFLINE and event in LATCHING:
+            assert next_state(state, event) is State.FAULT
+        else:
+            target = wanted.get((state.name, event.name), state.name)
+            assert next_state(state, event).name == target, (state, event)
+
+
+def test_the_numbers_on_the_bus_are_these() -> None:
+    assert {state.name: int(state) for state in State} == {
+        "OFFLINE": 0, "SELF_CHECK": 1, "READY": 2, "STAGING": 3, "SCANNING": 4, "LOCATING": 5, "APPROACHING": 6,
+        "INSERTING": 7, "VERIFYING": 8, "CHARGING": 9, "RELEASING": 10, "RETREATING": 11, "HOLD": 12, "FAULT": 15,
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize("state", [s for s in State if s not in RESTING])
+def test_no_state_in_which_something_is_under_way_is_without_a_deadline(state: State) -> None:
+    deadline_s = getattr(load_config().deadlines, f"{state.name.lower()}_s")
+    assert 0.0 < deadline_s < float("inf")
+
+
+@given(st.lists(st.sampled_from(Event), max_size=60), st.sampled_from(sorted(IN_CONTACT)))
+def test_a_new_attempt_after_contact_comes_through_retreating_or_a_reset(sequence: list[Event], start: State) -> None:
+    passed = walk(start, sequence)
+    for name in (State.STAGING, State.READY):
+        if name in passed:
+            before = passed[: passed.index(name)]
+            assert State.RETREATING in before or {State.FAULT, State.SELF_CHECK} <= set(before)
+
+
+def test_the_drawing_has_every_edge_and_nothing_else() -> None:
+    drawn = [line for line in as_dot().splitlines() if "->" in line and "ANY" not in line]
+    edges = {(a, b) for (a, e), b in TRANSITIONS.items() if e not in LATCHING}
+    assert len(drawn) == len(edges)
+    for source, target in edges:
+        events = [e.value for (a, e), b in TRANSITIONS.items() if (a, b) == (source, target) and e not in LATCHING]
+        label = r"\n".join(events)
+        assert f'  {source.name} -> {target.name} [label="{label}"];' in drawn
+    assert as_dot().splitlines()[:2] == ["digraph portdock {", "  rankdir=LR; node [shape=box, style=rounded];"]
+    assert as_dot().splitlines()[-3:] == [
+        '  ANY [label="any state", shape=plaintext];',
+        '  ANY -> FAULT [label="latching events"];',
+        "}",
+    ]
+
+
+def test_the_printed_table_has_a_head_and_says_what_latches() -> None:
+    lines = as_markdown().splitlines()
+    assert lines[:2] == ["| state | event | next |", "|---|---|---|"]
+    assert lines[-2] == ""
+    assert lines[-1] == (
+        "In every state but OFFLINE: abort requested, emergency stop, protective stop, link lost, charger fault, "
+        "deadline passed, check failed -> FAULT, latched until an operator's reset."
+    )
