@@ -16,6 +16,7 @@ from controller.config import SiteConfig
 from controller.pace import PacedClock
 from controller.perception_worker import PerceptionWorker, PreparedModel
 from controller.port_files import load_port
+from controller.rough_look import CoarseStage
 from controller.scanner_facts import scanner_facts
 from controller.supervisor import Sources, Supervisor
 from drivers.base import ByteSink, Clock, MonotonicClock
@@ -33,6 +34,8 @@ class Assembly:
     cell: Cell
     model: PreparedModel
     T_port_tcp_mated: Pose
+    coarse: CoarseStage | None = None
+    """What looks first, where the site has it."""
 
 
 def assemble(
@@ -51,7 +54,7 @@ def assemble(
     locator = PerceptionWorker(config.port.model)
     closing.callback(locator.close)
     model = locator.prepared()
-    for device in (devices.charger, devices.scanner, devices.arm, devices.car):
+    for device in (devices.charger, devices.scanner, devices.coarse, devices.arm, devices.car):
         if device is not None:
             device.open()
             closing.callback(device.close)
@@ -62,7 +65,8 @@ def assemble(
     supervisor.start()
     closing.callback(supervisor.close)
     cell = cell_of(config, devices, locator, supervisor, clock, wall, evidence)
-    return Assembly(cell, model, mated_pose(config))
+    coarse = None if devices.coarse is None else CoarseStage(devices.coarse, locator.submit_rough)
+    return Assembly(cell, model, mated_pose(config), coarse)
 
 
 def cell_of(

@@ -15,6 +15,7 @@ from pydantic import Field, ValidationError
 
 from controller.arm_config import ArmConfig
 from controller.charger_config import ChargerConfig
+from controller.coarse_config import CoarseConfig
 from controller.config_layers import layers, merged
 from controller.config_section import ConfigError, PoseConfig, Section
 from controller.config_units import unit_of
@@ -177,6 +178,8 @@ class SiteConfig(Section):
     port: PortConfig = PortConfig()
     scan: ScanConfig = ScanConfig()
     scanner: ScannerConfig = ScannerConfig()
+    coarse: CoarseConfig | None = None
+    """A second scanner that roughly finds the port first. None: the port is near where it is expected."""
     arm: ArmConfig = ArmConfig()
     charger: ChargerConfig = ChargerConfig()
     motion: MotionConfig = MotionConfig()

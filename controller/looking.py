@@ -12,6 +12,7 @@ from controller.faults import FaultCode, MissionFault
 from controller.passes import plan_passes
 from controller.planning import Viewpoint
 from controller.port_files import load_port
+from controller.rough_look import CoarseStage, NoRoughPlaceError, RoughLook
 from controller.scanner_facts import scanner_facts
 from controller.sweep import SweepError
 from controller.sweeping import ProgressReport, run_sweep
@@ -28,9 +29,12 @@ MOST_SPOILED = 3
 class Looking:
     """The scans of one mission and what perception makes of them."""
 
-    def __init__(self, cell: Cell, config: SiteConfig) -> None:
+    def __init__(self, cell: Cell, config: SiteConfig, coarse: CoarseStage | None = None) -> None:
+        """``coarse``: what the site's coarse stage works with, where it has one."""
         self._cell = cell
         self._config = config
+        self._rough = RoughLook(cell, config, config.coarse, coarse) if config.coarse and coarse else None
+        """The coarse stage, until it has aimed the precise one."""
         self._clouds: list[Cloud] = []
         self._spoiled = 0
         self.scans_made = 0
@@ -44,6 +48,8 @@ class Looking:
 
     def may_look_again(self, attempt: int) -> bool:
         """Whether another scan is due before giving up: one a viewpoint, and one more for each further attempt."""
+        if self._rough is not None and self._spoiled > MOST_SPOILED:
+            return False
         return self.scans_made < len(self._config.scan.viewpoints) + attempt - 1
 
     def forget_scans(self) -> None:
@@ -51,7 +57,9 @@ class Looking:
         self._clouds.clear()
 
     def passes(self) -> tuple[Viewpoint, ...]:
-        """The next sweep: each scan from another viewpoint."""
+        """The next sweep: the coarse one first, where there is one; then each scan from another viewpoint."""
+        if self._rough is not None:
+            return self._rough.passes()
         return plan_view(self._config, self.scans_made)
 
     def viewpoint(self) -> Viewpoint:
@@ -60,6 +68,9 @@ class Looking:
 
     def sweep(self, report: ProgressReport) -> None:
         """One sweep from the next viewpoint. What it gives is kept, or why it cannot be used."""
+        if self._rough is not None:
+            self._sweep_roughly(self._rough, report)
+            return
         try:
             self._clouds.append(run_sweep(self._cell, self._config, self.passes(), report).to_cloud())
             self.problem = ""
@@ -71,8 +82,35 @@ class Looking:
         else:
             self.scans_made += 1
 
+    def _sweep_roughly(self, rough: RoughLook, report: ProgressReport) -> None:
+        try:
+            rough.sweep(report)
+            self.problem = ""
+        except (SweepError, InputError) as error:
+            self.problem = error.cause
+            self._spoiled += 1
+            log.warning("this coarse scan cannot be used: %s", error)
+
+    def _aim(self, rough: RoughLook) -> None:
+        """From here on the precise scanner looks where the coarse one saw the port; or why not, and once more."""
+        try:
+            self._config = rough.aimed(self._config)
+        except (NoRoughPlaceError, InputError) as error:
+            self.problem = error.cause
+            self._spoiled += 1
+            log.warning("%s", error)
+            return
+        except PortdockError as error:
+            raise MissionFault(FaultCode.PERCEPTION_FAILED, error.cause) from error
+        self._rough, self._spoiled = None, 0
+
     def locate(self) -> PortEstimate | None:
-        """All scans merged; if that is refused, the newest alone. None when the last scan could not be used."""
+        """All scans merged; if that is refused, the newest alone. None when the last scan could not be used, or was
+        the coarse one."""
+        if self._rough is not None:
+            if not self.problem:
+                self._aim(self._rough)
+            return None
         if self.problem or not self._clouds:
             return None
         estimate = self._ask(self._clouds)

@@ -13,7 +13,9 @@ import time
 from pathlib import Path
 from types import TracebackType
 
+from controller.coarse_config import CoarseConfig
 from controller.config import SiteConfig
+from controller.config_section import ConfigError
 from controller.port_files import load_port
 from controller.scenarios import Scenario
 from drivers.base import LinkOpenError
@@ -64,13 +66,15 @@ class MockCell:
         Blackboard.create(self._folder, self._time_scale).close()
         host = free_loopback()
         folder = ["--world", str(self._folder)]
-        scanner = str(self._folder / "scanner")
+        scanner, coarse = str(self._folder / "scanner"), str(self._folder / "coarse")
         try:
             self._start("ur", [*folder, "--host", host, "--rate", str(self._base.arm.frequency_hz)])
             self._start(
                 "scanner",
                 [*folder, "--link", scanner, "--source", "world", "--seed", str(self._seed), *self._scanner_options()],
             )
+            if self._base.coarse is not None:
+                self._start("scanner", [*folder, "--link", coarse, *self._coarse_options()], log="mock-coarse.log")
             self._start("charger", [*folder, *self._charger_options()])
             for process in self._processes:
                 _await_ready(process, MOCK_START_S * max(1.0, self._base.host.stall_ms / 2000.0))
@@ -81,6 +85,7 @@ class MockCell:
             update={
                 "arm": self._base.arm.model_copy(update={"host": host}),
                 "scanner": self._base.scanner.model_copy(update={"device": scanner}),
+                "coarse": self._coarse_at(coarse),
                 "charger": self._base.charger.model_copy(update={"interface": self._can[0], "channel": self._can[1]}),
             }
         )
@@ -121,6 +126,24 @@ class MockCell:
             options += ["--address-in-words"] if scanner.profiler2.address_in_words else []
         return [*options, *self._more_scanner_options]
 
+    def _coarse_options(self) -> list[str]:
+        """A second scanner; mocks have a range finder for it, which speaks SCIP."""
+        scanner = None if self._base.coarse is None else self._base.coarse.scanner
+        if scanner is None or scanner.protocol != "scip":
+            raise ConfigError("mocks have a coarse scanner for SCIP only", remedy="Set coarse.scanner.protocol: scip.")
+        precision = ["--noise-m", f"{scanner.scip.range_noise_um * 1e-6:g}"]
+        precision += ["--systematic-m", f"{scanner.scip.systematic_um * 1e-6:g}"]
+        offset = ["--clock-offset-s", "0" if scanner.sync == "shared_clock" else "50"]
+        place = ["--source", "world", "--coarse", "--seed", str(self._seed)]
+        return ["--protocol", "scip", *place, *precision, *offset]
+
+    def _coarse_at(self, device: str) -> CoarseConfig | None:
+        """The coarse stage with its mock's device."""
+        coarse = self._base.coarse
+        if coarse is None:
+            return None
+        return coarse.model_copy(update={"scanner": coarse.scanner.model_copy(update={"device": device})})
+
     def _charger_options(self) -> list[str]:
         """Where the mock charger is reached, and the contract as the site has it."""
         site, (interface, channel) = self._base.charger, self._can
@@ -139,6 +162,7 @@ class MockCell:
             port=port.name,
             T_base_port=_vector(self._scenario.T_base_port),
             T_flange_scanner=_vector(config.scanner.T_flange_scanner.pose @ unknown.scanner),
+            T_flange_coarse=None if config.coarse is None else _vector(config.coarse.scanner.T_flange_scanner.pose),
             T_flange_tcp=_vector(config.arm.T_flange_tcp.pose @ unknown.tool),
             joint_offsets=unknown.joints,
             T_port_tcp=_vector(port.T_port_tcp),
@@ -151,16 +175,15 @@ class MockCell:
             start_joints=HOME_JOINTS,
         )
 
-    def _start(self, name: str, arguments: list[str]) -> None:
-        log = (self._folder / f"mock-{name}.log").open("w", encoding="utf-8")
-        with log:
+    def _start(self, name: str, arguments: list[str], log: str | None = None) -> None:
+        with (self._folder / (log or f"mock-{name}.log")).open("w", encoding="utf-8") as errors:
             self._processes.append(
                 subprocess.Popen(
                     [sys.executable, "-m", "mocks", name, *arguments],
                     stdin=subprocess.DEVNULL,
                     start_new_session=True,  # a Ctrl-C at the terminal is the controller's to handle
                     stdout=subprocess.PIPE,
-                    stderr=log,
+                    stderr=errors,
                     text=True,
                     cwd=self._folder,
                 )

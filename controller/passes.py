@@ -21,6 +21,13 @@ def port_width_m(shape: PortShape) -> float:
     return 2.0 * max(-low_x, high_x)
 
 
+def port_height_m(shape: PortShape) -> float:
+    """The same along the sweep."""
+    outline = shape.rim if shape.flange is None else shape.flange.outline
+    _, low_y, _, high_y = outline_bounds(outline)
+    return 2.0 * max(-low_y, high_y)
+
+
 def pass_offsets_m(width_m: float, window_m: float, overlap: float) -> tuple[float, ...]:
     """Where the middles of the passes lie across a strip of ``width_m``: evenly, from its one edge to its other.
 

@@ -18,6 +18,7 @@ from perception.estimate import PortEstimate, Prior
 from perception.geometry import Array
 from perception.locate import locate
 from perception.port_model import PortModel
+from perception.rough import RoughPlace, find_roughly
 from perception.scan import Cloud, merge
 
 NICE = 5
@@ -57,6 +58,10 @@ class PerceptionWorker:
         """Locate the port in one scan or in several of it, all in the frame of the prior."""
         return self._pool.submit(_locate, tuple(clouds), prior)
 
+    def submit_rough(self, cloud: Cloud, prior: Prior) -> Future[RoughPlace]:
+        """Find the port roughly in a coarse scan, in the frame of the prior."""
+        return self._pool.submit(_find_roughly, cloud, prior)
+
     def close(self) -> None:
         """End the process. Idempotent."""
         self._pool.shutdown(wait=True, cancel_futures=True)
@@ -90,6 +95,10 @@ def _prepare(name: str) -> PreparedModel:
     os.nice(NICE)
     _Kept.model = port_model(name)
     return PreparedModel(_Kept.model.checksum, _Kept.model.surface.points.astype(np.float64))
+
+
+def _find_roughly(cloud: Cloud, prior: Prior) -> RoughPlace:
+    return find_roughly(cloud, _Kept.model.surface.points.astype(np.float64), prior)
 
 
 def _locate(clouds: tuple[Cloud, ...], prior: Prior) -> PortEstimate:

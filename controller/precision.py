@@ -31,7 +31,10 @@ class ScannerTooCoarseError(ConfigError):
     """The configured scanner cannot locate a port as well as docking needs (exit code 2)."""
 
     code = "scanner-too-coarse"
-    default_remedy = "Dock with a triangulating profiler: scanner.protocol framed or profiler2."
+    default_remedy = (
+        "Dock with a triangulating profiler (scanner.protocol framed or profiler2);"
+        " this one may look first: coarse.scanner."
+    )
 
 
 @dataclass(frozen=True, slots=True)

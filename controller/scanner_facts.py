@@ -14,7 +14,7 @@ _PROFILER2_WIRE_BYTES = 10 + 12 + 14
 _PROFILER2_CLOCK_PERIOD_S = 6.5536
 _SCIP_CLOCK_PERIOD_S = (1 << 24) * 1e-3
 _SCIP_STEPS = 682
-"""Of a URG-04LX; a device with more is later by its constant, which calibration finds."""
+"""Of a URG-04LX; a device with more is later by its constant, which calibration or ``scip.last_step`` tells."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,7 +47,9 @@ def scanner_facts(scanner: ScannerConfig) -> ScannerFacts:
     if scanner.protocol == "scip":
         range_finder = scanner.scip
         characters = 2 if range_finder.two_characters else 3
-        delay_s = (_SCIP_STEPS * characters * 65 / 64 / range_finder.cluster + 30) * byte_s
+        first, last = range_finder.first_step, range_finder.last_step
+        steps = _SCIP_STEPS if first is None or last is None else last - first + 1
+        delay_s = (steps * characters * 65 / 64 / range_finder.cluster + 30) * byte_s
         optics = (
             range_finder.window_mm * 1e-3,
             range_finder.range_noise_um * 1e-6,

@@ -9,7 +9,7 @@ import numpy as np
 
 from controller.config import SiteConfig
 from controller.config_section import ConfigError
-from perception.geometry import Pose
+from perception.geometry import Array, Pose
 from perception.port_shape import PortDescription
 
 HAND_EYE_M, HAND_EYE_DEG = 0.0002, 0.03
@@ -60,6 +60,8 @@ BLOCKED_DEPTH_M = 0.008
 def draw_scenario(name: str, config: SiteConfig, port: PortDescription, seed: int, cell: int | None = None) -> Scenario:
     """The scenario's world: the car stands up to 20 mm, 4 deg off, the calibration is good but not perfect.
 
+    Before a site with a coarse stage it stands farther off: up to 60 % of what that stage is to bridge.
+
     ``uncalibrated``: the scanner sits 10 to 20 mm and 5 to 10 deg off its nominal place, joints are 0.02 deg off.
     ``cell``: which cell, where that is not the seed: its calibration errors stay while the car comes and goes.
 
@@ -68,7 +70,7 @@ def draw_scenario(name: str, config: SiteConfig, port: PortDescription, seed: in
     if name not in SCENARIOS:
         raise ConfigError(f"no scenario is called '{name}'", remedy=f"Use one of {', '.join(SCENARIOS)}.")
     rng = np.random.default_rng([seed, 1])
-    offset_m = rng.uniform(-1.0, 1.0, 3) * [0.020, 0.015, 0.015]
+    offset_m = rng.uniform(-1.0, 1.0, 3) * _parking_m(config)
     turn_rad = np.deg2rad(rng.uniform(-1.0, 1.0, 3) * [4.0, 4.0, 3.0])
     T_base_port = config.port.T_base_port.pose @ Pose.from_rotvec(turn_rad, offset_m)
     cell_rng = np.random.default_rng([seed if cell is None else cell, 2])
@@ -83,6 +85,14 @@ def draw_scenario(name: str, config: SiteConfig, port: PortDescription, seed: in
             return replace(nominal, blocked_depth_m=min(BLOCKED_DEPTH_M, port.mated_depth_m / 2.0))
         case _:
             return nominal
+
+
+def _parking_m(config: SiteConfig) -> Array:
+    """How far the car stands off its place at most, along each axis (3,) of the port."""
+    if config.coarse is None:
+        return np.array([0.020, 0.015, 0.015])
+    lateral_mm = config.coarse.lateral_mm / np.sqrt(2.0)
+    return 0.6e-3 * np.array([lateral_mm, lateral_mm, config.coarse.along_mm])
 
 
 def _draw_miscalibration(rng: np.random.Generator) -> Miscalibration:

@@ -22,6 +22,7 @@ from controller.cell import Cell
 from controller.config import SiteConfig, as_yaml
 from controller.faults import Outcome
 from controller.insertion import Insertion
+from controller.looking import Looking
 from controller.mission import Mission
 from controller.perception_worker import PreparedModel
 from controller.precision import refuse_too_coarse
@@ -126,9 +127,12 @@ def run_session(
         closing.enter_context(log_into(recorder))
         watcher = MissionWatcher(recorder, display)
         record_looks(live.cell, recorder)
-        mission = Mission(live.cell, config, live.T_port_tcp_mated, watcher, folder)
+        look = lambda: Looking(live.cell, config, live.coarse)  # noqa: E731
+        mission = Mission(live.cell, config, live.T_port_tcp_mated, watcher, folder, look)
         mission.run()
         summary = summary_of(mission.now, watcher.durations(live.cell.clock.now_s()), truth, folder, config)
+        if live.coarse is not None:
+            recorder.link("coarse", live.coarse.scanner.health())
         close_recording(recorder, live.cell, summary)
     prune(Path(config.recording.folder), int(config.recording.keep_mb * 1e6))
     return with_report(summary, folder)

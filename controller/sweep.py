@@ -51,6 +51,8 @@ class Timing:
     max_lost_share: float = MAX_LOST_SHARE
     shared_clock: bool = False
     """Scanner and arm stamp by one clock: no fit over the host's is needed, delays do not matter."""
+    enough_s: float = 0.0
+    """Times that are good to this do not matter: at the sweep's speed they cost less than the scanner's own error."""
     clock_period_s: float | None = None
     """With a shared clock: the scanner's stamps start again after so long, the arm's do not."""
 
@@ -84,7 +86,7 @@ def timed(profiles: Sequence[Profile], arm_states: Sequence[ArmState], timing: T
         times_s = _same_period(device_s, profiles, arm_states, timing.clock_period_s) - timing.calibrated_s
     else:
         kept_arm, arm_s = _arm_times(arm_states, timing.arm_latency_s, rate)
-        times_s = _profile_times(profiles, timing.latency_s, rate)
+        times_s = _profile_times(profiles, timing.latency_s, rate, timing.enough_s)
     inside = (times_s >= arm_s[0]) & (times_s <= arm_s[-1])
     kept = [profile for profile, known in zip(profiles, inside, strict=True) if known]
     _refuse_gaps(kept, len(profiles), timing.max_lost_share)
@@ -132,13 +134,13 @@ def lost_profiles(profiles: Sequence[Profile]) -> int:
     return profiles[-1].sequence - profiles[0].sequence + 1 - len(profiles)
 
 
-def _profile_times(profiles: Sequence[Profile], latency_s: float, rate: float) -> Array:
+def _profile_times(profiles: Sequence[Profile], latency_s: float, rate: float, enough_s: float) -> Array:
     """Host times (N,) of exposure."""
     host_s = np.array([profile.time_s for profile in profiles])
     device_s = [profile.device_time_s for profile in profiles if profile.device_time_s is not None]
     if not profiles or len(device_s) < len(profiles):
         return host_s - latency_s * rate
-    return _on_host(np.array(device_s), host_s, rate, "scanner") - latency_s * rate
+    return _on_host(np.array(device_s), host_s, rate, "scanner", enough_s) - latency_s * rate
 
 
 def _device_times(profiles: Sequence[Profile]) -> Array:
@@ -178,7 +180,7 @@ def _arm_times(states: Sequence[ArmState], latency_s: float, rate: float) -> tup
     return kept, _on_host(device_s, host_s, rate, "arm") - latency_s * rate
 
 
-def _on_host(device_s: Array, host_s: Array, rate: float, name: str) -> Array:
+def _on_host(device_s: Array, host_s: Array, rate: float, name: str, enough_s: float = 0.0) -> Array:
     fit = fit_clock(device_s, host_s, rate=rate)
     delays_ms = fit.early_s * 1e3, fit.spread_s * 1e3
     logger.info("%s clock: drift %.1f ppm, delivery 5 %% within %.1f, 95 %% %.1f ms", name, fit.drift * 1e6, *delays_ms)
@@ -188,7 +190,7 @@ def _on_host(device_s: Array, host_s: Array, rate: float, name: str) -> Array:
             remedy="Check the load of this computer and the unit of the device's time stamp; scan again.",
         )
     unsteady = abs(fit.drift) > 0.999 * MAX_DRIFT  # delays that grow or shrink over the sweep pull at the slope
-    if fit.early_s > (MAX_EARLY_UNSTEADY_S if unsteady else MAX_EARLY_S):
+    if fit.early_s > max(enough_s, MAX_EARLY_UNSTEADY_S if unsteady else MAX_EARLY_S):
         raise SweepError(
             f"it is uncertain when samples of the {name} were taken: even the promptest 5 % came spread over"
             f" {fit.early_s * 1e3:.0f} ms",

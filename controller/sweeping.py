@@ -123,14 +123,15 @@ def taken_moving(cell: Cell, config: SiteConfig, passes: Sequence[Viewpoint], re
 
 def timing_of(cell: Cell, config: SiteConfig) -> Timing:
     """How profiles and arm samples of this cell come to one time."""
-    scanner = config.scanner
+    scanner, facts = config.scanner, scanner_facts(config.scanner)
     return Timing(
         latency_s=cell.profile_latency_s,
         calibrated_s=scanner.latency_ms / 1000.0,
         time_scale=cell.time_scale,
         max_lost_share=scanner.max_lost_profiles_percent / 100.0,
         shared_clock=scanner.sync == "shared_clock",
-        clock_period_s=scanner_facts(scanner).clock_period_s,
+        enough_s=facts.systematic_m / (config.scan.speed_mm_s / 1000.0) / cell.time_scale,
+        clock_period_s=facts.clock_period_s,
     )
 
 

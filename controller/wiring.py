@@ -22,7 +22,7 @@ from drivers.arm.kinematics import JointLimits
 from drivers.arm.played_links import PlayedLinks, Window
 from drivers.arm.settings import UrSettings, Workspace
 from drivers.arm.ur import UrArm
-from drivers.base import Arm, Box, ByteSink, Car, Charger, Clock, MonotonicClock, Scanner
+from drivers.base import Arm, Box, ByteSink, Car, Charger, Clock, Direction, MonotonicClock, NullSink, Scanner
 from drivers.charger.can_charger import CanCharger
 from drivers.charger.car_listener import CarListener, CarSettings
 from drivers.charger.contract import Contract
@@ -47,8 +47,21 @@ class Devices:
     scanner: Scanner
     arm: Arm
     charger: Charger
+    coarse: Scanner | None = None
+    """The scanner of the coarse stage, where the site has one."""
     car: Car | None = None
     """What listens to the vehicle's own protocol, where the site has it."""
+
+
+class CoarseSink(NullSink):
+    """Where the coarse scanner's bytes go: beside the precise one's, never among them."""
+
+    def __init__(self, sink: ByteSink) -> None:
+        self._sink = sink
+
+    def scanner_bytes(self, direction: Direction, data: bytes, host_time_ns: int) -> None:
+        """One chunk of its line."""
+        self._sink.coarse_bytes(direction, data, host_time_ns)
 
 
 def build_devices(config: SiteConfig, sink: ByteSink, clock: Clock) -> Devices:
@@ -57,6 +70,7 @@ def build_devices(config: SiteConfig, sink: ByteSink, clock: Clock) -> Devices:
         scanner=build_scanner(config.scanner, sink, clock),
         arm=UrArm(_arm_settings(config), sink, clock),
         charger=CanCharger(_can_settings(config), clock, sink),
+        coarse=None if config.coarse is None else build_scanner(config.coarse.scanner, CoarseSink(sink), clock),
         car=_car_listener(config, clock),
     )
 
@@ -68,6 +82,8 @@ def build_played_devices(
 
     ``heard_s``: bus traffic up to here was heard before the mission began. Raises ConfigError and file errors.
     """
+    if config.coarse is not None:
+        raise ConfigError("a mission with a coarse stage cannot be replayed", remedy="`portdock recording` shows it.")
     scanner = config.scanner
     if scanner.protocol != "framed":
         raise ConfigError(

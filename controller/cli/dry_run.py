@@ -44,7 +44,9 @@ def dry_run(
         float | None,
         typer.Option(min=1.0, max=50.0, help="Of the mock scanner, where the host ray-casts no 50 a second."),
     ] = None,
-    scanner: Annotated[str | None, typer.Option(help="A scanner with a site of its own: profiler2.")] = None,
+    scanner: Annotated[
+        str | None, typer.Option(help="A scanner with a site of its own: profiler2, scip_profiler.")
+    ] = None,
     mock_cell: Annotated[
         int | None, typer.Option(min=0, help="Which mock cell, for its calibrations; the seed's own if left out.")
     ] = None,
@@ -146,9 +148,11 @@ def for_mocks(site: SiteConfig, fast: bool = False) -> SiteConfig:
         "deadlines": {"locating_s": max(600.0, site.deadlines.locating_s)},  # perception takes wall time, fast or not
         "host": {"stall_ms": max(2000.0, site.host.stall_ms)},
     }
-    return site.model_copy(
-        update={name: getattr(site, name).model_copy(update=update) for name, update in changes.items()}
-    )
+    sections = {name: getattr(site, name).model_copy(update=update) for name, update in changes.items()}
+    if site.coarse is not None:
+        first = site.coarse.scanner.model_copy(update=changes["scanner"])
+        sections["coarse"] = site.coarse.model_copy(update={"scanner": first})
+    return site.model_copy(update=sections)
 
 
 def finish(summary: MissionSummary, as_json: bool) -> None:

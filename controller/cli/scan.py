@@ -17,7 +17,7 @@ from controller.port_files import load_port
 from controller.scenarios import SCENARIOS, draw_scenario
 
 ConfigOption = Annotated[Path | None, typer.Option(help="The site file.")]
-ScannerOption = Annotated[str | None, typer.Option(help="A scanner with a bundled site: profiler2.")]
+ScannerOption = Annotated[str | None, typer.Option(help="A scanner with a bundled site: profiler2, scip_profiler.")]
 MockOption = Annotated[bool, typer.Option("--mock", help="Mock devices instead of the site's.")]
 SeedOption = Annotated[int, typer.Option(min=0, help="With --mock: where the car stands, and all noise.")]
 FastOption = Annotated[bool, typer.Option("--fast", help=f"With --mock: {FAST_FACTOR:g} times as fast.")]

@@ -100,7 +100,7 @@ class Daemon:
             live.T_port_tcp_mated,
             records,
             self._memory,
-            None if look is None else lambda: look(live),
+            lambda: Looking(live.cell, self._setting.config, live.coarse) if look is None else look(live),
         )
 
     # --- told by the mission ------------------------------------------------------------------------------------------

@@ -172,6 +172,10 @@ class Recordings:
         if (recorder := self._recorder) is not None:
             recorder.scanner_bytes(direction, data, host_time_ns)
 
+    def coarse_bytes(self, direction: Direction, data: bytes, host_time_ns: int) -> None:
+        if (recorder := self._recorder) is not None:
+            recorder.coarse_bytes(direction, data, host_time_ns)
+
     def can_frame(self, frame: CanFrame) -> None:
         if (recorder := self._recorder) is not None:
             recorder.can_frame(frame)

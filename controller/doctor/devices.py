@@ -19,8 +19,9 @@ SYS = Path("/sys")
 
 
 def scanner(config: SiteConfig) -> list[Finding]:
-    """The scanner's serial line."""
-    return serial_device("scanner", config.scanner.device)
+    """The scanner's serial line, and the coarse one's."""
+    first = [] if config.coarse is None else serial_device("coarse scanner", config.coarse.scanner.device)
+    return [*first, *serial_device("scanner", config.scanner.device)]
 
 
 def charger(config: SiteConfig) -> list[Finding]:

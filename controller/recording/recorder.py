@@ -46,6 +46,7 @@ _CHUNK_PERIOD_S = 1.0
 _IDLE_S = 0.05
 _TF_PERIOD_S = 0.1
 _SCANNER_TOPICS = {"rx": schemas.SCANNER_RX, "tx": schemas.SCANNER_TX}
+_COARSE_TOPICS = {"rx": schemas.COARSE_RX, "tx": schemas.COARSE_TX}
 
 
 class Recorder:
@@ -89,7 +90,13 @@ class Recorder:
 
     def scanner_bytes(self, direction: Direction, data: bytes, host_time_ns: int) -> None:
         """One chunk of the serial line."""
-        topic, data = _SCANNER_TOPICS[direction], bytes(data)
+        self._chunk(_SCANNER_TOPICS[direction], bytes(data), host_time_ns)
+
+    def coarse_bytes(self, direction: Direction, data: bytes, host_time_ns: int) -> None:
+        """One chunk of the coarse scanner's line."""
+        self._chunk(_COARSE_TOPICS[direction], bytes(data), host_time_ns)
+
+    def _chunk(self, topic: schemas.Topic, data: bytes, host_time_ns: int) -> None:
         self._sample(topic, len(data), host_time_ns, lambda: encode_scanner_bytes(host_time_ns, data))
 
     def can_frame(self, frame: CanFrame) -> None:

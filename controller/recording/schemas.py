@@ -62,6 +62,8 @@ _POINT_FIELD = _object({"name": _TEXT, "offset": _COUNT, "type": _COUNT})
 
 SCANNER_RX = _raw("/scanner/rx", SCANNER_BYTES)
 SCANNER_TX = _raw("/scanner/tx", SCANNER_BYTES)
+COARSE_RX = _raw("/coarse/rx", SCANNER_BYTES)
+COARSE_TX = _raw("/coarse/tx", SCANNER_BYTES)
 CAN = _raw("/can/raw", CAN_FRAME)
 ARM = _raw("/arm/state", ARM_STATE)
 ARM_COMMAND = _json(
@@ -158,7 +160,21 @@ LOG = _json(
 )
 
 TOPICS = (
-    *(SCANNER_RX, SCANNER_TX, CAN, ARM, ARM_COMMAND, STATE, COMMAND, ESTIMATE, CONTACT, LINK, DROPS),
+    *(
+        SCANNER_RX,
+        SCANNER_TX,
+        COARSE_RX,
+        COARSE_TX,
+        CAN,
+        ARM,
+        ARM_COMMAND,
+        STATE,
+        COMMAND,
+        ESTIMATE,
+        CONTACT,
+        LINK,
+        DROPS,
+    ),
     *(WAIT, SWEEP),
     *(POINTS, DOCK_POSE, TRANSFORM, LOG),
 )

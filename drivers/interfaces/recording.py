@@ -37,6 +37,7 @@ class ByteSink(Protocol):
     """What a recorder offers to the drivers. Called from reader threads: must be quick and thread-safe."""
 
     def scanner_bytes(self, direction: Direction, data: bytes, host_time_ns: int) -> None: ...
+    def coarse_bytes(self, direction: Direction, data: bytes, host_time_ns: int) -> None: ...
     def can_frame(self, frame: CanFrame) -> None: ...
     def arm_state(self, state: ArmState) -> None: ...
     def arm_command(self, record: ArmCommandRecord) -> None: ...
@@ -46,6 +47,9 @@ class NullSink:
     """Records nothing."""
 
     def scanner_bytes(self, direction: Direction, data: bytes, host_time_ns: int) -> None:
+        """Drop the bytes."""
+
+    def coarse_bytes(self, direction: Direction, data: bytes, host_time_ns: int) -> None:
         """Drop the bytes."""
 
     def can_frame(self, frame: CanFrame) -> None:

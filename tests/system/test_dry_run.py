@@ -52,6 +52,27 @@ def dry_run(folder: Path, scenario: str, seed: int = 0) -> Run:
     return Run(done.returncode, json.loads(done.stdout), out, done.stderr)
 
 
+def test_a_range_finder_looks_first_and_the_profiler_docks(tmp_path: Path) -> None:
+    """The car stands centimetres off: the coarse sweep finds it, from there on everything is as usual."""
+    out = tmp_path / "out"
+    ran = subprocess.run(
+        command("--json", "--scanner", "scip_profiler", "--seed", "1", "--out", str(out)),
+        capture_output=True,
+        check=False,
+        text=True,
+        timeout=380,
+        cwd=tmp_path,
+    )
+    result = json.loads(ran.stdout)
+    assert (ran.returncode, result["outcome"]) == (0, "charged"), ran.stderr
+    states = [name for name, _ in result["states"]]
+    assert states[: states.index("APPROACHING")].count("SCANNING") >= 2
+    assert result["locate"]["error_mm"] < 1.0
+    recording = read_recording(out / "mission.mcap")
+    assert len(recording.topics["/coarse/rx"]) > 50
+    assert any(report.link == "coarse" for report in recording.links())
+
+
 def test_a_nominal_cycle_charges_and_leaves_its_evidence(tmp_path: Path) -> None:
     run = dry_run(tmp_path, "nominal", seed=4)
     assert (run.code, run.result["outcome"], run.result["fault"]) == (0, "charged", None), run.stderr

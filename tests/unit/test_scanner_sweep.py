@@ -81,6 +81,7 @@ def test_a_sweep_without_any_prompt_profile_is_refused_for_its_place_is_uncertai
     late = [Profile(p.sequence, p.time_s + 0.5 + 0.004 * p.sequence, p.device_time_s, p.points) for p in profiles]
     with pytest.raises(SweepError, match="uncertain when"):
         join(late, states, HAND_EYE)
+    assert len(join(late, states, HAND_EYE, Timing(enough_s=0.25)).profiles) > 100, "good enough for a coarse scanner"
     delayed = [
         Profile(p.sequence, p.time_s + 0.004 * max(0, p.sequence - 50), p.device_time_s, p.points) for p in profiles
     ]
