@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import binary_dilation, binary_erosion
 
 from perception.crop import Scene
 from perception.front_map import CELL_M, TOLERANCE_M, FrontMap, rolled
@@ -20,6 +21,10 @@ ABOVE_RIM_M = 0.003
 """Points higher than this over the rim plane are things in the way, and say nothing about the port."""
 BLOCKS_M = 0.12
 """Within this height over the rim plane a thing before the inlet may be a plug."""
+_BORE_LEAST = 6.0
+"""Points that a filled bore would show, from which on its emptiness says something."""
+_BORE_EMPTY, _BORE_FILLED = 0.25, 0.5
+"""Shares of those points that an empty bore may show, and that a filled one must."""
 _ROLL_STEP_DEG = 4.0
 _ROLL_FROM_DEG = 12.0
 
@@ -98,7 +103,7 @@ def judge(pose: Pose, scene: Scene, model: PortModel, noise_m: float) -> Evidenc
         float(weight[behind].sum()),
         float(weight[before].sum()),
         min(float(good.sum()) * (3 * CELL_M) ** 2 / outline, 1.0),
-        front.features,
+        front.features + front.bores,
         seen,
         denied,
         inner,
@@ -132,9 +137,40 @@ def _features(
 ) -> tuple[int, int]:
     """How many contact-sized features have points that agree, and how many have points that contradict."""
     number = front.feature[i, j].astype(np.int64)
-    agree = np.bincount(number, np.abs(misfit) < tolerance, minlength=front.features + 1)[1:]
-    against = np.bincount(number, np.abs(misfit) >= tolerance, minlength=front.features + 1)[1:]
-    return int(((agree >= 2) & (agree >= against)).sum()), int(((against >= 4) & (against > 2 * agree)).sum())
+    solid, bore = np.maximum(number, 0), np.maximum(-number, 0)
+    agree = np.bincount(solid, np.abs(misfit) < tolerance, minlength=front.features + 1)[1:]
+    against = np.bincount(solid, np.abs(misfit) >= tolerance, minlength=front.features + 1)[1:]
+    seen, denied = (agree >= 2) & (agree >= against), (against >= 4) & (against > 2 * agree)
+    empty, filled = _bores(front, i, j, bore, misfit, tolerance)
+    return int(seen.sum()) + empty, int(denied.sum()) + filled
+
+
+def _bores(
+    front: FrontMap,
+    i: NDArray[np.int64],
+    j: NDArray[np.int64],
+    bore: NDArray[np.int64],
+    misfit: Array,
+    tolerance: float,
+) -> tuple[int, int]:
+    """How many bores are seen to be empty, and how many have something in them.
+
+    A laser that enters a bore is hardly ever seen coming back: emptiness is that points stop at its edge. It counts
+    where the surface around is seen so densely that a filled bore would show.
+    """
+    empty = filled = 0
+    hits = np.zeros(front.feature.shape)
+    np.add.at(hits, (i, j), np.abs(misfit) < tolerance)
+    for k in range(1, front.bores + 1):
+        patch = front.feature == -k
+        core = binary_erosion(patch)
+        ring = binary_dilation(patch, iterations=4) & ~binary_dilation(patch, iterations=2)
+        expected = float(hits[ring].mean()) * int(core.sum())
+        found = int(((bore == k) & core[i, j] & (misfit >= tolerance)).sum())
+        if expected >= _BORE_LEAST:
+            empty += found < _BORE_EMPTY * expected
+            filled += found > _BORE_FILLED * expected
+    return empty, filled
 
 
 def _rival_roll(

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import binary_erosion, label, maximum_filter, minimum_filter
+from scipy.ndimage import binary_dilation, binary_erosion, binary_fill_holes, label, maximum_filter, minimum_filter
 
 from perception.geometry import Array
 
@@ -19,6 +19,7 @@ CELL_M = 0.0005
 TOLERANCE_M = 0.001
 _CORE_CELLS = 14
 _FEATURE_AREA_M2 = (4e-6, 4e-4)
+_ANY_DEPTH_M = 0.2
 _ROLLS_RAD = np.deg2rad(np.arange(12.0, 349.0, 12.0))
 
 Map = NDArray[np.float32]
@@ -37,14 +38,19 @@ class FrontMap:
     distinct: Map
     """0 where any roll would show the same height, to 1 where every other roll shows another one."""
     feature: NDArray[np.int16]
-    """Number of the contact-sized feature, 0 for none."""
+    """Number of the contact-sized feature, 0 for none; negative for bores, of which only the emptiness is seen."""
     inner: NDArray[np.bool_]
     """Whether the cell is well within the rim: where a plug goes."""
 
     @property
     def features(self) -> int:
-        """How many contact-sized features there are."""
-        return int(self.feature.max())
+        """How many contact-sized features with a surface there are."""
+        return max(int(self.feature.max()), 0)
+
+    @property
+    def bores(self) -> int:
+        """How many contact-sized bores there are."""
+        return max(-int(self.feature.min()), 0)
 
     def cells(self, local: Array) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.bool_]]:
         """Cell numbers of points (N, 2 or 3) and which of them lie in the port's outline."""
@@ -71,9 +77,12 @@ def build_front_map(points: Array) -> FrontMap:
     top = np.full(shape, -np.inf)
     np.maximum.at(top, (at[:, 0], at[:, 1]), points[:, 2])
     filled = np.where(np.isfinite(top), top, maximum_filter(top, 3))  # a cell that no sample met
+    bores = _bores(filled)
+    filled = np.where(bores > 0, _walls_end(filled, bores), filled)
     known = np.isfinite(filled)
     highest = maximum_filter(filled, 3)
     lowest = minimum_filter(np.where(known, filled, np.inf), 3)
+    lowest[bores > 0] = -_ANY_DEPTH_M
     known &= binary_erosion(known, np.ones((3, 3)))
     lowest, highest = np.where(known, lowest, np.nan), np.where(known, highest, np.nan)
     plain = FrontMap(
@@ -87,7 +96,43 @@ def build_front_map(points: Array) -> FrontMap:
     middle = np.where(known, filled, np.nan)
     rim = known & (filled > -TOLERANCE_M)
     inner = binary_erosion(np.pad(_enclosed(rim), 1), iterations=_CORE_CELLS)[1:-1, 1:-1] & known
-    return FrontMap(low, plain.lowest, plain.highest, _distinct(plain, middle), _features(middle), inner)
+    features = _features(np.where(bores > 0, np.nan, middle))
+    features = np.where(bores > 0, -bores, features).astype(np.int16)
+    return FrontMap(low, plain.lowest, plain.highest, _distinct(plain, middle), features, inner)
+
+
+def _bores(height: Array) -> NDArray[np.int64]:
+    """Numbers of the contact-sized holes within the rim whose floor no scanner sees; 0 elsewhere.
+
+    The flange's holes are none: they have screws in them, or not.
+    """
+    known = np.isfinite(height)
+    within = _enclosed(known & (height > -TOLERANCE_M))
+    patches, found = label(binary_fill_holes(known) & ~known & within)
+    areas = np.bincount(patches.reshape(-1), minlength=found + 1) * CELL_M**2
+    wide = np.zeros(found + 1, np.int64)
+    count = 0
+    for k in range(1, found + 1):
+        if _FEATURE_AREA_M2[0] < areas[k] < _FEATURE_AREA_M2[1] and _round(patches == k):
+            count += 1
+            wide[k] = count
+    return np.asarray(wide[patches])
+
+
+def _round(patch: NDArray[np.bool_]) -> bool:
+    """Whether a patch fills its bounding box as a circle or a square does, not as a slit or a sickle."""
+    i, j = np.nonzero(patch)
+    sides = np.array([np.ptp(i) + 1, np.ptp(j) + 1])
+    return bool(sides.max() < 1.5 * sides.min() and patch.sum() > 0.6 * sides.prod())
+
+
+def _walls_end(height: Array, bores: NDArray[np.int64]) -> Array:
+    """For each bore the lowest height that is seen of its walls: nothing in it is higher than that. (X, Y)."""
+    ends = np.full(height.shape, np.nan)
+    for k in range(1, int(bores.max()) + 1):
+        around = binary_dilation(bores == k, iterations=2) & np.isfinite(height)
+        ends[bores == k] = height[around].min() - 2 * TOLERANCE_M
+    return ends
 
 
 def _enclosed(rim: NDArray[np.bool_]) -> NDArray[np.bool_]:

@@ -24,7 +24,7 @@ from perception.surface import Surface, visible_surface
 
 _log = logging.getLogger(__name__)
 
-_VERSION = "18"
+_VERSION = "19"
 """Part of the cache key: raise it when the preparation changes."""
 SPACING_M = 0.0012
 EDGE_SPACING_M = 0.0005

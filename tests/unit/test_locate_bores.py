@@ -1,0 +1,62 @@
+"""A socket's bores show no surface to a scanner: that they are empty speaks for the port, a filled one against it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from controller.port_files import load_port
+from perception.crop import Scene
+from perception.evidence import judge
+from perception.geometry import Array, Pose
+from perception.port_model import PortModel
+from perception.port_shape import build_mesh
+
+FACE_Z_M = -0.003
+"""The face that GB/T AC's bores open in."""
+
+
+@pytest.fixture(scope="module")
+def gbt_ac() -> PortModel:
+    return PortModel.from_mesh("gbt_ac", *build_mesh(load_port("gbt_ac").shape))
+
+
+def scene(points: Array) -> Scene:
+    none = np.zeros((0, 3))
+    return Scene(points, points + np.array([0.0, 0.0, 0.3]), none, none, np.array([0.0, 1.0, 0.0]), np.array([0.0, 0.0, 0.3]))
+
+
+def face_points(filled: bool) -> Array:
+    """(N, 3) points 0.4 mm apart on the insert's face; the bores' places are left out unless ``filled``."""
+    x, y = np.meshgrid(np.arange(-0.021, 0.021, 0.0004), np.arange(-0.018, 0.016, 0.0004))
+    points = np.column_stack([x.ravel(), y.ravel(), np.full(x.size, FACE_Z_M)])
+    if filled:
+        return points
+    power = [(0.0, 0.0), (-0.016, 0.0), (0.016, 0.0), (-0.008, -0.01385), (0.008, -0.01385)]
+    signal = [(-0.008, 0.0112), (0.008, 0.0112)]
+    bores = [(centre, 0.0033) for centre in power] + [(centre, 0.0019) for centre in signal]
+    keep = np.ones(len(points), dtype=bool)
+    for centre, radius in bores:
+        keep &= np.hypot(*(points[:, :2] - centre).T) > radius
+    return points[keep]
+
+
+def test_the_five_power_bores_are_features(gbt_ac: PortModel) -> None:
+    assert gbt_ac.front.bores >= 5
+
+
+def test_empty_bores_are_seen(gbt_ac: PortModel) -> None:
+    found = judge(Pose.identity(), scene(face_points(filled=False)), gbt_ac, 1e-4)
+    assert found.features_seen >= 5
+    assert found.features_denied == 0
+
+
+def test_filled_bores_contradict_the_port(gbt_ac: PortModel) -> None:
+    found = judge(Pose.identity(), scene(face_points(filled=True)), gbt_ac, 1e-4)
+    assert found.features_denied >= 5
+
+
+def test_without_points_around_it_a_bore_says_nothing(gbt_ac: PortModel) -> None:
+    rim_only = np.column_stack([np.linspace(-0.03, 0.03, 300), np.full(300, -0.031), np.zeros(300)])
+    found = judge(Pose.identity(), scene(rim_only), gbt_ac, 1e-4)
+    assert found.features_seen == 0
