@@ -22,8 +22,8 @@ def gbt_ac() -> PortModel:
 
 
 def scene(points: Array) -> Scene:
-    none = np.zeros((0, 3))
-    return Scene(points, points + np.array([0.0, 0.0, 0.3]), none, none, np.array([0.0, 1.0, 0.0]), np.array([0.0, 0.0, 0.3]))
+    none, laser = np.zeros((0, 3)), np.array([0.0, 0.0, 0.3])
+    return Scene(points, points + laser, none, none, np.array([0.0, 1.0, 0.0]), laser)
 
 
 def face_points(filled: bool) -> Array:
