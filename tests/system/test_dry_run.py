@@ -56,7 +56,7 @@ def test_a_range_finder_looks_first_and_the_profiler_docks(tmp_path: Path) -> No
     """The car stands centimetres off: the coarse sweep finds it, from there on everything is as usual."""
     out = tmp_path / "out"
     ran = subprocess.run(
-        command("--json", "--scanner", "scip_profiler", "--seed", "1", "--out", str(out)),
+        command("--fast", "--json", "--scanner", "scip_profiler", "--seed", "1", "--out", str(out)),
         capture_output=True,
         check=False,
         text=True,
