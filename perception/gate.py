@@ -20,6 +20,7 @@ MIN_INNER = 0.06
 MIN_BLOCKED = 0.4
 MIN_ROLL_VOTES = 6
 MIN_ROLL_MARGIN = 0.4
+MAX_ROLL_DISPUTE_RAD = float(np.deg2rad(0.6))
 _PRIOR_SLACK_M = 0.006
 _PRIOR_SLACK_RAD = float(np.deg2rad(3.0))
 
@@ -33,6 +34,8 @@ class Findings:
     rms_m: float
     evidence: Evidence
     margin: float
+    roll_dispute_rad: float = 0.0
+    """How far the roll that the edges alone would have is from the pose's."""
 
 
 def reasons_against(findings: Findings, prior: Prior, limits: AcceptanceLimits) -> tuple[str, ...]:
@@ -117,6 +120,8 @@ def _unsupported(findings: Findings) -> list[str]:
             f"a roll by {_deg(e.roll_rival_rad):.0f} deg explains the scan as well: {e.roll_for} places speak for this"
             f" roll, {e.roll_against} against"
         )
+    if findings.roll_dispute_rad > MAX_ROLL_DISPUTE_RAD:
+        found.append(f"walls and edges disagree about the roll by {_deg(findings.roll_dispute_rad):.1f} deg")
     if findings.margin < MIN_MARGIN:
         found.append(f"another pose fits nearly as well (margin {findings.margin:.0%})")
     return found

@@ -40,6 +40,8 @@ _EDGE_GATE_M = 0.0004
 """A point further than this on the wrong side of an edge is something else."""
 _EDGE_LEAST_M = 0.00002
 """Below this the least-absolute weights stop growing."""
+_DISPUTE_RAD = float(np.deg2rad(0.4))
+"""Walls and edges that differ by more about the roll are fitted once more, from where the edges have it."""
 _EDGES_M = 0.00003
 """All edges together fix the port sideways no better than this: what makes an edge look displaced is common to many."""
 
@@ -65,6 +67,8 @@ class Refined:
     """(N - planes,) which of the matched points the equations for edges belong to."""
     scale_m: float
     """Robust standard deviation of the distances to surfaces."""
+    roll_dispute_rad: float = 0.0
+    """How far from this roll the port's edges alone would have it."""
 
     @property
     def rms_m(self) -> float:
@@ -86,19 +90,43 @@ def refine(start: Pose, scene: Scene, model: PortModel, *, rounds: int = ROUNDS,
         raise DegenerateCloudError("hardly any scan point lies near the port's surface")
     everything = measure(scene.points[near], scene.origins[near], threads)
     some = everything.every(max(1, len(everything.points) // _SUBSET))
+    fit = _Fit(scene, model, threads)
     pose, scale = settle_sideways(start, everything, model, _FIRST_SCALE_M), 0.0005
-    for round_ in range(rounds):
-        if round_ == rounds - FULL_ROUNDS:
-            pose = settle_sideways(pose, everything, model, scale, first=2, points=6_000)
-        current = some if round_ < rounds - FULL_ROUNDS else everything
-        gate = _FIRST_GATE_M * _GATE_SHRINK**round_
-        matches = match(pose, current, model, threads)
+    for round_ in range(rounds - FULL_ROUNDS):
+        matches = match(pose, some, model, threads)
         scale = _robust_scale(matches.distance, previous=scale)
-        equations = _equations(pose, matches, model, scale, gate)
-        if current is everything:
-            equations = _with_nuisance(equations, matches, current, scene, model)
-        pose = _moved(pose, _step(equations))
-    return replace(equations, T_prior_port=pose)
+        pose = _moved(pose, _step(_equations(pose, matches, model, scale, _gate(round_))))
+    pose = settle_sideways(pose, everything, model, scale, first=2, points=6_000)
+    final = fit.rounds(pose, everything, scale, range(rounds - FULL_ROUNDS, rounds))
+    settled = settle_sideways(final.T_prior_port, everything, model, final.scale_m, first=1, points=6_000)
+    if settled.angle_to(final.T_prior_port) > _DISPUTE_RAD:
+        final = fit.rounds(settled, everything, final.scale_m, range(rounds - FULL_ROUNDS, rounds))
+        settled = settle_sideways(final.T_prior_port, everything, model, final.scale_m, first=1, points=6_000)
+    return replace(final, roll_dispute_rad=settled.angle_to(final.T_prior_port))
+
+
+def _gate(round_: int) -> float:
+    return _FIRST_GATE_M * _GATE_SHRINK**round_
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Fit:
+    """The last rounds, with every point and with nuisances."""
+
+    scene: Scene
+    model: PortModel
+    threads: int
+
+    def rounds(self, pose: Pose, measured: Measured, scale: float, which: range) -> Refined:
+        """Moves ``pose`` by one step for each of the rounds ``which``."""
+        for round_ in which:
+            matches = match(pose, measured, self.model, self.threads)
+            scale = _robust_scale(matches.distance, previous=scale)
+            equations = _equations(pose, matches, self.model, scale, _gate(round_))
+            equations = _with_nuisance(equations, matches, measured, self.scene, self.model)
+            pose = _moved(pose, _step(equations))
+            final = replace(equations, T_prior_port=pose)
+        return final
 
 
 def _robust_scale(distance: Array, previous: float) -> float:
