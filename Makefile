@@ -23,7 +23,7 @@ long: $(STAMP)  ## what takes too long for every change
 bench: $(STAMP)  ## ratios measured in one run, on a quiet machine
 	$(BIN)/pytest tests/benchmarks -m benchmark_ratio --timeout 3600
 
-mutation: $(STAMP)  ## do the tests notice changes of states, gate and codecs? about an hour; table names bound at import are not changed
+mutation: $(STAMP)  ## do the tests notice changes of states, gate and codecs? hours; table names bound at import are not changed
 	$(BIN)/mutmut run --max-children 1
 	$(BIN)/mutmut results
 
