@@ -150,6 +150,9 @@ class EmulatedTime:
     def wait_ticks(self, count: int) -> None:
         self._arm.run(count * LOOK_S)
 
+    def raise_if_paused(self) -> None:
+        """Nobody walks into this rig, and inserting does not pause."""
+
 
 class Commands:
     """The gate's decisions."""
