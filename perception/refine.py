@@ -83,8 +83,11 @@ class Refined:
         return np.asarray(scaled.T @ scaled + np.diag(self.precision))
 
 
-def refine(start: Pose, scene: Scene, model: PortModel, *, rounds: int = ROUNDS, threads: int = 2) -> Refined:
-    """Refines ``start`` (T_prior_port). Raises DegenerateCloudError when the points near it do not fix a pose."""
+def refine(start: Pose, scene: Scene, model: PortModel, *, threads: int = 2) -> Refined:
+    """Refines ``start`` (T_prior_port). Raises DegenerateCloudError when the points near it do not fix a pose.
+
+    Walls can pull the roll away from where the edges have it: then the last rounds are done again from there.
+    """
     near = model.nearest.lookup(start.inverse().apply(scene.points)) < model.nearest.none
     if int(near.sum()) < 50:
         raise DegenerateCloudError("hardly any scan point lies near the port's surface")
@@ -92,15 +95,16 @@ def refine(start: Pose, scene: Scene, model: PortModel, *, rounds: int = ROUNDS,
     some = everything.every(max(1, len(everything.points) // _SUBSET))
     fit = _Fit(scene, model, threads)
     pose, scale = settle_sideways(start, everything, model, _FIRST_SCALE_M), 0.0005
-    for round_ in range(rounds - FULL_ROUNDS):
+    last = range(ROUNDS - FULL_ROUNDS, ROUNDS)
+    for round_ in range(last.start):
         matches = match(pose, some, model, threads)
         scale = _robust_scale(matches.distance, previous=scale)
         pose = _moved(pose, _step(_equations(pose, matches, model, scale, _gate(round_))))
     pose = settle_sideways(pose, everything, model, scale, first=2, points=6_000)
-    final = fit.rounds(pose, everything, scale, range(rounds - FULL_ROUNDS, rounds))
+    final = fit.rounds(pose, everything, scale, last)
     settled = settle_sideways(final.T_prior_port, everything, model, final.scale_m, first=1, points=6_000)
     if settled.angle_to(final.T_prior_port) > _DISPUTE_RAD:
-        final = fit.rounds(settled, everything, final.scale_m, range(rounds - FULL_ROUNDS, rounds))
+        final = fit.rounds(settled, everything, final.scale_m, last)
         settled = settle_sideways(final.T_prior_port, everything, model, final.scale_m, first=1, points=6_000)
     return replace(final, roll_dispute_rad=settled.angle_to(final.T_prior_port))
 
