@@ -87,7 +87,6 @@ _ROBUST_FEEDBACK = replace(ROBUST, feedback=FAITHFUL.feedback)
 _XYZ = replace(LITERAL, feedback=FAITHFUL.feedback, best_of_rounds=True)
 
 _CONTROLS: tuple[tuple[str, str, Callable[[Array], Solver], Controls], ...] = (
-    ("o3d-ransac", "Open3D FPFH + RANSAC, no ICP", _peer("ransac", icp=False), "others"),
     ("literal-xyz", "literal keypoints, (18) as read", published(_XYZ), "others"),
     ("kappa-fixed", "faithful, kappa fixed", published(_ruled("fixed")), "feedback"),
     ("jitter-03", "faithful, kappa fixed, 3 % dropped at random", published(_ruled("jitter", 0.03)), "feedback"),
@@ -109,6 +108,7 @@ METHODS: tuple[Method, ...] = (
     Method("robust", "robust", "28 starts", published(ROBUST, rounds=1)),
     Method("b1-28", "baseline 1", "28 starts", _baseline1(many_starts=True)),
     Method("b2", "baseline 2", "global", FourPointBaseline),
+    Method("o3d-ransac", "Open3D FPFH + RANSAC, no ICP", "global", _peer("ransac", icp=False)),
     Method("o3d-ransac-icp", "Open3D FPFH + RANSAC + ICP", "global", _peer("ransac")),
     Method("o3d-fgr-icp", "Open3D FGR + ICP", "global", _peer("fgr")),
     *(Method(name, title, "control", build, which) for name, title, build, which in _CONTROLS),
