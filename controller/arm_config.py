@@ -62,7 +62,11 @@ class ArmConfig(Section):
     least_singular_value: Annotated[float, Field(ge=0, le=0.5)] = 0.02
     """Straight lines that come nearer to a singularity (smallest singular value of the Jacobian) are refused."""
     tool_radius_mm: Annotated[float, Field(gt=0, le=500)] = 50.0
-    """Of a capsule around the tool from flange to TCP."""
+    """Of a capsule around what carries the plug, from the flange to where the plug begins."""
+    plug_radius_mm: Annotated[float, Field(gt=0, le=200)] = 35.0
+    """Of a capsule around the plug: half of its width at the grip."""
+    plug_length_mm: Annotated[float, Field(ge=0, le=500)] = 60.0
+    """How much of the tool, back from the TCP, is no wider than the plug; 0: nothing."""
     least_clearance_mm: Annotated[float, Field(ge=0, le=500)] = 0.0
     """Between the arm's capsules, which are generous already, and themselves and every box."""
     boxes: tuple[BoxConfig, ...] = ()

@@ -18,6 +18,7 @@ from controller.insertion import Verdict, insert
 from controller.planning import DockPlan, PlanRefusedError, plan_dock
 from controller.self_check import before_port
 from controller.states import Event
+from controller.surroundings import boxes_around
 from controller.task import Goal, Task
 from drivers.base import ChargerRequest, ChargerState, ChargerStatus, DockPose, PlugLock, Proximity, RequestResult
 from perception.estimate import PortEstimate
@@ -38,6 +39,7 @@ def stage(task: Task) -> Event:
         task.must(ChargerRequest.UNLOCK_DOCK)
         task.now.reserved = True
     _back_out(task)
+    task.cell.arm.set_obstacles(())  # what was seen last time may have moved with the car, or been closed
     motion, patience_s = task.config.motion, task.config.deadlines.staging_s
     start = task.looking.viewpoint().T_base_tcp_start
     speed, acceleration = np.deg2rad([motion.joint_speed_deg_s, motion.joint_acceleration_deg_s2])
@@ -76,6 +78,7 @@ def approach(task: Task) -> Event:
     """Plan, announce, move to pre-contact; axis and depth are on disk before the arm nears the vehicle."""
     cell, motion, estimate = task.cell, task.config.motion, task.now.estimate
     assert estimate is not None
+    cell.arm.set_obstacles(boxes_around(task.looking.cloud, estimate))
     try:
         plan = plan_dock(estimate, task.T_port_tcp_mated, motion, cell.reach)
     except PlanRefusedError as error:

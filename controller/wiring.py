@@ -145,6 +145,8 @@ def _arm_settings(config: SiteConfig) -> UrSettings:
         least_sigma=arm.least_singular_value,
         boxes=tuple(_box(box) for box in arm.boxes),
         tool_radius_m=arm.tool_radius_mm / 1000.0,
+        plug_radius_m=arm.plug_radius_mm / 1000.0,
+        plug_length_m=arm.plug_length_mm / 1000.0,
         least_clearance_m=arm.least_clearance_mm / 1000.0,
     )
 

@@ -15,19 +15,19 @@ from drivers.arm.kinematics import ArmModel, frames_many
 from drivers.base import Box
 from perception.geometry import Array
 
-LINKS = ("base", "shoulder", "upper arm", "elbow", "forearm", "wrist 1", "wrist 2", "wrist 3", "tool")
+LINKS = ("base", "shoulder", "upper arm", "elbow", "forearm", "wrist 1", "wrist 2", "wrist 3", "tool", "plug")
 TOOL = LINKS.index("tool")
 
 _SELF_PAIRS = np.array(
-    [(0, k) for k in (4, 5, 6, 7, 8)]
-    + [(1, k) for k in (4, 5, 6, 7, 8)]
-    + [(2, k) for k in (5, 6, 7, 8)]
-    + [(3, k) for k in (6, 7, 8)]
-    + [(4, k) for k in (7, 8)]
+    [(0, k) for k in (4, 5, 6, 7, 8, 9)]
+    + [(1, k) for k in (4, 5, 6, 7, 8, 9)]
+    + [(2, k) for k in (5, 6, 7, 8, 9)]
+    + [(3, k) for k in (6, 7, 8, 9)]
+    + [(4, k) for k in (7, 8, 9)]
 )
 """Links that can meet; neighbours along the arm always touch and are left out."""
 
-_FRAME_OF_LINK = np.array([0, 1, 2, 2, 3, 3, 4, 5, 6])
+_FRAME_OF_LINK = np.array([0, 1, 2, 2, 3, 3, 4, 5, 6, 6])
 
 _GOLDEN = (np.sqrt(5.0) - 1.0) / 2.0
 _GOLDEN_ROUNDS = 16
@@ -65,11 +65,23 @@ _SIZES = {
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Tool:
-    """The tool as one capsule from the flange to its tip."""
+    """The tool as two capsules on the line from the flange to its tip: what carries the plug, and the plug."""
 
     tip: tuple[float, float, float]
     """In the flange frame, m; usually the TCP."""
     radius: float = 0.05
+    plug_length: float = 0.0
+    """What is in front of the wider part; 0: nothing."""
+    plug_radius: float = 0.035
+
+    @property
+    def ends(self) -> tuple[Array, Array]:
+        """Where the axes of the wider part and of the plug end, (3,) each in the flange frame."""
+        tip = np.asarray(self.tip, dtype=np.float64)
+        length = float(np.linalg.norm(tip))
+        if self.plug_length <= 0.0 or length == 0.0:
+            return tip, tip
+        return tip * max(0.0, 1.0 - (self.plug_length + self.radius) / length), tip
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,9 +129,10 @@ def _smallest(gaps: Array, names: list[str]) -> Clearance:
 
 
 def _capsules(model: ArmModel, joints: Array, tool: Tool) -> tuple[Array, Array, Array]:
-    """Axes of all links in the base frame: starts and ends (K, 9, 3), and radii (9,)."""
+    """Axes of all links in the base frame: starts and ends (K, 10, 3), and radii (10,)."""
     size = _SIZES[model.name]
     so, eo = size.shoulder_offset, size.elbow_offset
+    body, plug = tool.ends
     local = np.array(
         [
             [(0, 0, 0), (0, 0, model.d1)],
@@ -130,12 +143,14 @@ def _capsules(model: ArmModel, joints: Array, tool: Tool) -> tuple[Array, Array,
             [(0, 0, eo), (0, 0, model.d4)],
             [(0, 0, 0), (0, 0, model.d5)],
             [(0, 0, 0), (0, 0, model.d6)],
-            [(0, 0, 0), tool.tip],
+            [(0, 0, 0), body],
+            [body, plug],
         ],
         dtype=np.float64,
     )
     u, f, w = size.upper_radius, size.fore_radius, size.wrist_radius
-    radii = np.array([u, u, u, f, f, w, w, w, tool.radius])
+    front = tool.plug_radius if tool.plug_length > 0.0 else tool.radius
+    radii = np.array([u, u, u, f, f, w, w, w, tool.radius, front])
     frames = frames_many(model, joints)[:, _FRAME_OF_LINK]
     ends = np.einsum("klij,lej->klei", frames[..., :3, :3], local) + frames[..., None, :3, 3]
     return ends[:, :, 0], ends[:, :, 1], radii
@@ -149,7 +164,7 @@ def _self_gaps(starts: Array, ends: Array, radii: Array) -> tuple[Array, list[st
 
 def _box_gaps(starts: Array, ends: Array, radii: Array, box: Box) -> tuple[Array, list[str]]:
     """The base stands where it stands: links from the shoulder on are looked at."""
-    links = np.arange(1, TOOL if box.tool_may_touch else TOOL + 1)
+    links = np.arange(1, TOOL if box.tool_may_touch else len(LINKS))
     inverse = box.T_base_box.inverse()
     start, end = (inverse.apply(points[:, links].reshape(-1, 3)) for points in (starts, ends))
     gaps = segment_box_distance(start, end, np.asarray(box.half_size)).reshape(-1, len(links)) - radii[links]

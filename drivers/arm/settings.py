@@ -77,7 +77,10 @@ class UrSettings:
     boxes: tuple[Box, ...] = ()
     """Solid things in the base frame that the arm must keep clear of."""
     tool_radius_m: float = 0.05
-    """Of a capsule around the tool, from the flange to the TCP."""
+    """Of a capsule around what carries the plug, from the flange to where the plug begins."""
+    plug_radius_m: float = 0.035
+    plug_length_m: float = 0.06
+    """The plug: the last part of the tool before the TCP, as a narrower capsule."""
     least_clearance_m: float = 0.0
     """Between capsules that are generous already."""
 
@@ -87,9 +90,9 @@ class UrSettings:
 
     @property
     def tool(self) -> Tool:
-        """The tool's capsule."""
+        """The tool's capsules."""
         x, y, z = self.T_flange_tcp.translation.tolist()
-        return Tool((x, y, z), self.tool_radius_m)
+        return Tool((x, y, z), self.tool_radius_m, self.plug_length_m, self.plug_radius_m)
 
     @property
     def kinematics(self) -> ArmModel:

@@ -25,6 +25,7 @@ from controller.supervisor import Sources, Supervisor
 from controller.task import Goal, Progress
 from drivers.base import (
     ArmState,
+    Box,
     CanFrame,
     ChargerRequest,
     ChargerState,
@@ -68,6 +69,7 @@ class StandInArm:
         self.motion_fails = False
         self.recoveries = 0
         self.stuck = False
+        self.obstacles: tuple[Box, ...] = ()
         self._velocity = np.zeros(3)
         self._push_n = 0.0
         self._last_s = CLOCK.now_s()
@@ -137,6 +139,9 @@ class StandInArm:
 
     def kick_watchdog(self) -> None:
         self.kicks += 1
+
+    def set_obstacles(self, boxes: tuple[Box, ...]) -> None:
+        self.obstacles = boxes
 
     def recover(self) -> None:
         self.recoveries += 1
@@ -421,14 +426,19 @@ class Rig:
             records=self.decisions,
         )
         self.T_port_tcp = Pose(FACING, np.array([0.0, 0.0, -MATED_DEPTH_M]))
+        self.looking = lambda: StandInLooking(self.cell, self.config, accepted or [True])
+        """Makes what looks for the port in each job."""
         self.mission = Mission(
             self.cell,
             self.config,
             self.T_port_tcp,
             self.watch,
             folder,
-            lambda: StandInLooking(self.cell, self.config, accepted or [True]),  # type: ignore[arg-type, return-value]
+            self._look,  # type: ignore[arg-type]
         )
+
+    def _look(self) -> StandInLooking:
+        return self.looking()  # looked up when a job begins: a test may replace it
 
     def run(self) -> Outcome:
         """Run to the end; the supervisor ticks meanwhile."""

@@ -114,3 +114,19 @@ def _timed(clock, action) -> float:
 @pytest.mark.parametrize("name", sorted(MODELS))
 def test_every_model_has_a_shape(name) -> None:
     assert np.isfinite(clearance(MODELS[name], HOME[None], TOOL).distance_m)
+
+
+def test_the_plug_passes_where_what_carries_it_would_not() -> None:
+    """A wall beside the plug's last 50 mm, 40 mm off its axis; beside the wider part behind it the same wall is hit."""
+    model, joints = MODELS["ur10e"], HOME[None]
+    tool = Tool((0.0, 0.0, 0.2), radius=0.05, plug_length=0.06, plug_radius=0.03)
+    T_base_flange = forward(model, HOME)
+
+    def wall(from_m: float, to_m: float) -> Box:
+        centre = Pose(np.eye(3), np.array([0.045, 0.0, (from_m + to_m) / 2]))
+        return Box("wall", T_base_flange @ centre, (0.005, 0.05, (to_m - from_m) / 2))
+
+    beside_plug = clearance(model, joints, tool, (wall(0.155, 0.205),))
+    assert beside_plug.what == "plug and wall" and beside_plug.distance_m == pytest.approx(0.010, abs=1e-3)
+    assert clearance(model, joints, tool, (wall(0.05, 0.09),)).distance_m == pytest.approx(-0.010, abs=1e-3)
+    assert clearance(model, joints, Tool(tool.tip, tool.radius), (wall(0.155, 0.205),)).distance_m < 0.0
