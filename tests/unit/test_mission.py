@@ -9,8 +9,17 @@ import pytest
 
 from controller.durable import recall_insertion
 from controller.faults import FaultCode
-from drivers.base import ChargerRequest, ChargerState, Proximity, RobotMode, SafetyMode
+from drivers.base import ChargerRequest, ChargerState, LinkLostError, Proximity, RobotMode, SafetyMode
+from perception.errors import PortdockError
 from tests.unit.mission_rig import MATED_DEPTH_M, Rig
+
+
+class MotionRefused(PortdockError):
+    """What a driver raises for a motion that the robot does not take."""
+
+    code = "motion-refused"
+    default_remedy = "Look at the robot."
+
 
 CYCLE = [
     "SELF_CHECK", "READY", "STAGING", "SCANNING", "LOCATING", "APPROACHING", "INSERTING", "VERIFYING", "CHARGING",
@@ -241,3 +250,28 @@ def test_a_person_in_the_zone_before_contact_only_pauses(tmp_path: Path, state: 
     where = rig.watch.states.index("HOLD")
     assert rig.watch.states[where - 1] == state and rig.watch.states[where + 1] == "STAGING"
     assert rig.arm.recoveries == 1
+
+
+@pytest.mark.parametrize("error", [MotionRefused("the robot stands still"), LinkLostError("no answer")])
+def test_a_motion_that_fails_since_a_person_just_stepped_in_is_a_pause_and_no_fault(
+    tmp_path: Path, error: PortdockError
+) -> None:
+    """The robot stops at once; the driver tells of it before a tick has seen why."""
+    rig = Rig(tmp_path)
+    moved, steps_in = rig.arm.move_joints, [True]
+
+    def refused(*arguments: object) -> int:
+        if steps_in:
+            steps_in.clear()
+            rig.arm.safety = SafetyMode.SAFEGUARD_STOP
+            raise error
+        return moved(*arguments)  # type: ignore[arg-type]
+
+    def leaves(state: str) -> None:
+        if state == "HOLD":
+            rig.arm.safety = SafetyMode.NORMAL
+
+    rig.arm.move_joints = refused  # type: ignore[method-assign, assignment]
+    rig.watch.on_state = leaves
+    assert rig.run().kind == "charged"
+    assert rig.watch.states[2:5] == ["STAGING", "HOLD", "STAGING"]
