@@ -104,10 +104,11 @@ def test_identical_points_make_one_oversize_leaf(engine):
 
 
 @pytest.mark.parametrize("engine", ENGINES)
-def test_points_that_are_not_finite_are_dropped_and_counted(engine):
+@pytest.mark.parametrize("rule", RULES)
+def test_points_that_are_not_finite_are_dropped_and_counted(engine, rule):
     points = np.random.default_rng(3).normal(size=(60, 3))
     points[[4, 17, 33]] = [[np.nan, 0, 0], [0, np.inf, 0], [0, 0, -np.inf]]
-    tree = AdaptiveKDTree(points, engine=engine)
+    tree = AdaptiveKDTree(points, split=rule, leaf_size=4, engine=engine)
     assert tree.dropped == 3
     counts, _ = tree.radius_stats(100.0)
     assert (counts[[4, 17, 33]] == 0).all()
