@@ -175,6 +175,12 @@ def _can_settings(config: SiteConfig) -> CanSettings:
     )
 
 
+def check_charger(config: SiteConfig) -> None:
+    """Raises ConfigError and InputError for what would keep the charger's link from being opened: DBC, protection."""
+    settings = _can_settings(config)
+    Contract(settings.dbc, settings.protection, settings.robot_address, settings.charger_address)
+
+
 def _car_listener(config: SiteConfig, clock: Clock) -> CarListener | None:
     car = config.charger.car
     if car.protocol == "none":

@@ -13,16 +13,18 @@ from controller.config_layers import layers, merged
 from controller.config_section import ConfigError
 from controller.port_files import load_port
 from controller.scanner_files import load_scanner
+from controller.wiring import check_charger
 
 app = typer.Typer(help="Check and show the configuration.", no_args_is_help=True)
 
 
 @app.command()
 def check(file: Annotated[Path, typer.Argument(help="A site file (YAML).")]) -> None:
-    """Check a site file: every key known, every value within its bounds, port and scanner descriptions readable."""
+    """Check a site file: every key known, every value within its bounds, port, scanner and CAN contract usable."""
     config = load_config(file)
     load_port(config.port.model)
     load_scanner(config.scanner.format)
+    check_charger(config)
     print(f"{file}: ok (site {config.site}, port {config.port.model}, arm {config.arm.model})")
 
 

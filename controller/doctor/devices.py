@@ -34,9 +34,6 @@ def charger(config: SiteConfig) -> list[Finding]:
         findings += serial_device("charger", site.channel.split("@")[0])
     else:
         findings.append(ok("charger", f"python-can interface {site.interface}, channel {site.channel}: not looked at"))
-    if site.protection == "none":
-        fix = "Set charger.protection, if the charger can: e2e-p11 is the default."
-        findings.append(warn("charger", "docking frames are unprotected", fix))
     return findings
 
 

@@ -7,10 +7,12 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from controller.calibrations.in_force import examine_calibrations
+from controller.charger_config import check_can_protection
 from controller.config import SiteConfig
 from controller.doctor import devices, host
 from controller.doctor.findings import Finding, fail, ok, warn
 from controller.port_files import load_port
+from controller.wiring import check_charger
 from perception.errors import PortdockError
 
 
@@ -23,6 +25,7 @@ def examine(config: SiteConfig, with_devices: bool = True) -> Iterator[Finding]:
     yield host.governor()
     yield host.clock()
     yield port(config)
+    yield contract(config)
     yield from calibrations(config)
     if with_devices:
         yield from devices.scanner(config)
@@ -44,6 +47,21 @@ def port(config: SiteConfig) -> Finding:
             "Check the model against a real inlet's CAD (`portdock locate --model FILE`) before docking.",
         )
     return ok("port", f"{name} is known to a tenth of a millimetre where contacts meet")
+
+
+def contract(config: SiteConfig) -> Finding:
+    """Can the charger be understood, and are its frames protected?"""
+    site = config.charger
+    try:
+        check_charger(config)
+        unprotected = check_can_protection(site)
+    except PortdockError as error:
+        return fail("charger", error.cause, error.remedy)
+    if unprotected:
+        return warn("charger", unprotected, "Set charger.protection, if the charger can: e2e-p11 is the default.")
+    return ok(
+        "charger", f"{site.dbc or 'the bundled DBC'} has what the contract wants, frames protected by {site.protection}"
+    )
 
 
 AGEING = 0.8

@@ -16,6 +16,7 @@ from typing import Any
 
 import cantools
 
+from drivers.charger.contract_check import complaints
 from drivers.charger.e2e import FrameProtection, Scheme
 from perception.errors import InputError
 
@@ -191,6 +192,9 @@ def _require(path: Path, database: Any, scheme: Scheme, wanted: dict[str, tuple[
     ]
     if missing:
         raise InputError(f"{path} lacks {', '.join(missing)}", remedy=_REMEDY)
+    wrong = complaints(database, wanted, None if scheme is Scheme.NONE else scheme.counter_modulus)
+    if wrong:
+        raise InputError(f"{path}: {'; '.join(wrong)}", remedy=_REMEDY)
 
 
 def _codec(message: Any, scheme: Scheme, address: int | None) -> Codec:

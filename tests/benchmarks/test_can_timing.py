@@ -10,6 +10,7 @@ from __future__ import annotations
 import itertools
 import logging
 import statistics
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -35,6 +36,8 @@ PERIOD_S = 0.05
 BEATS = 1200
 JITTER_ALLOWANCE_S, STOP_ALLOWANCE_S = 0.005, 0.010
 TRIALS = 500
+WATCHDOG_HZ = 0.02
+"""The watchdog is not kicked from a trip to its reset, and must not end the program meanwhile."""
 STOP_LINEAR = 33
 """Command id of stopL in ur_rtde's script."""
 HEARTBEAT, STATUS = Contract()["RC_Heartbeat"], Contract()["CH_Status"]
@@ -88,7 +91,7 @@ def cell(tmp_path: Path) -> Iterator[Cell]:
 
 @pytest.fixture
 def cell_with_arm(tmp_path: Path, mock_arm: MockController) -> Iterator[Cell]:
-    arm = UrArm(settings(mock_arm.host, watchdog_hz=0.5, patience=10.0, freshness_s=10.0))
+    arm = UrArm(settings(mock_arm.host, watchdog_hz=WATCHDOG_HZ, patience=10.0, freshness_s=10.0))
     arm.open()
     made = Cell(tmp_path, arm)
     yield made
@@ -115,20 +118,28 @@ def judge(name: str, values_s: list[float], sleeps: BareSleeps, allowance_s: flo
 
 
 def test_the_heartbeat_keeps_its_period(cell: Cell) -> None:
-    frames = cell.link.log.frames
-
-    def sent() -> list[float]:
-        return [f.time_s for f in list(frames) if f.direction == "tx" and f.arbitration_id == HEARTBEAT.arbitration_id]
-
     with perception_like_load(), BareSleeps() as sleeps:
-        until(lambda: len(sent()) > 40, "heartbeats go out", 60.0)
-        frames.clear()
-        until(lambda: len(sent()) > BEATS, "a minute of heartbeats", 5.0 * BEATS * PERIOD_S)
-        times_s = sent()
+        _sent(cell, 40)
+        cell.link.log.frames.clear()
+        times_s = _sent(cell, BEATS + 1)
+    replaced = dict(cell.link.charger.health().counters).get("tx_replaced", 0)
+    log.info("%d frames were replaced by newer ones before the bus took them", replaced)
     assert cell.supervisor.trip is None
     periods_s = [later - earlier for earlier, later in itertools.pairwise(times_s)]
     assert abs(statistics.mean(periods_s) - PERIOD_S) < 0.001 + statistics.mean(sleeps.lateness_s)
     judge("heartbeat jitter", [abs(period_s - PERIOD_S) for period_s in periods_s], sleeps, JITTER_ALLOWANCE_S)
+
+
+def _sent(cell: Cell, count: int) -> list[float]:
+    """When that many heartbeats went out. Looks seldom: looking takes time from what is measured."""
+    end_s = time.monotonic() + 60.0 + 5.0 * count * PERIOD_S
+    while True:
+        frames = list(cell.link.log.frames)
+        times_s = [f.time_s for f in frames if f.direction == "tx" and f.arbitration_id == HEARTBEAT.arbitration_id]
+        if len(times_s) >= count:
+            return times_s[:count]
+        assert time.monotonic() < end_s, f"{len(times_s)} of {count} heartbeats went out"
+        time.sleep(1.0)
 
 
 def test_an_emergency_stop_on_can_reaches_the_arm_at_once(cell_with_arm: Cell, mock_arm: MockController) -> None:

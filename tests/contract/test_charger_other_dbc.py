@@ -82,3 +82,36 @@ def test_what_a_file_lacks_is_named_before_anything_is_opened(tmp_path: Path) ->
     with pytest.raises(InputError) as caught:
         build_devices(config, NullSink(), MonotonicClock())
     assert "RC_DockQuality.RMSE, CH_Status.AckSeq" in caught.value.cause
+
+
+@pytest.mark.parametrize(
+    ("change", "complaint"),
+    [
+        (('[-1638.35|1638.35] "mm"', '[-1638.35|1638.35] "m"'), "RC_DockPos.X is in m, not in mm"),
+        (("SG_ Z : 48|16@1- (0.05,0) [-1638.35", "SG_ Z : 48|16@1- (0.05,0) [0"), "RC_DockPos.Z reaches from 0 to"),
+        (("SG_ X : 16|16@1- (0.05,0) [-1638.35|1638.35]", "SG_ X : 16|16@1- (1,0) [-2000|2000]"), "steps of 1 mm"),
+        (("SG_ Current : 32|16@1- (0.1,0)", "SG_ Current : 32|16@1- (2,0)"), "CH_Electrical.Current has steps of 2 A"),
+        (('[-3276.8|3276.7] "A"', '[-3276.8|3276.7] "mA"'), "CH_Electrical.Current is in mA, not in A"),
+        (("SG_ Pilot : 22|3@1+ (1,0) [0|7]", "SG_ Pilot : 22|2@1+ (1,0) [0|3]"), "CH_Status.Pilot goes up to 3, 5 is"),
+        (("SG_ Cmd : 12|4@1+ (1,0)", "SG_ Cmd : 12|4@1+ (2,0)"), "RC_Command.Cmd is scaled"),
+        (("SG_ AckSeq : 32|8@1+", "SG_ AckSeq : 32|7@1+"), "CH_Status.AckSeq goes up to 127, 255 is needed"),
+        (
+            ("SG_ Counter : 8|4@1+ (1,0) [0|14]", "SG_ Counter : 8|3@1+ (1,0) [0|7]"),
+            "RC_Heartbeat.Counter goes up to 7",
+        ),
+    ],
+)
+def test_signals_that_mean_something_else_are_named(tmp_path: Path, change: tuple[str, str], complaint: str) -> None:
+    text = bundled_dbc().read_text()
+    assert change[0] in text
+    path = tmp_path / "strange.dbc"
+    path.write_text(text.replace(*change))
+    with pytest.raises(InputError) as caught:
+        Contract(path)
+    assert complaint in caught.value.cause
+
+
+def test_a_unit_may_be_left_out_or_spelled_otherwise(tmp_path: Path) -> None:
+    path = tmp_path / "terse.dbc"
+    path.write_text(bundled_dbc().read_text().replace('"mm"', '""').replace('"degC"', '"C"').replace('"A"', '"a"'))
+    assert Contract(path)["RC_DockPos"].length == 8

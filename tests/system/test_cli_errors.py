@@ -48,6 +48,8 @@ def site_file(folder: Path, text: str) -> str:
         ("port: {model: css2}", "'ccs2'"),
         ("arm: [", "line 2"),
         ("scanner: {format: nothing}", "nothing"),
+        ("charger: {protection: none}", "docking frames would be unprotected"),
+        ("charger: {dbc: /no/such.dbc}", "there is no DBC at /no/such.dbc"),
     ],
 )
 def test_a_bad_site_file_is_refused_with_exit_code_2(

@@ -16,7 +16,7 @@ from typer.testing import CliRunner
 from controller.cli.main import app
 from controller.config import load_config, parse_config
 from controller.doctor import devices, host
-from controller.doctor.examination import port
+from controller.doctor.examination import contract, port
 from controller.doctor.findings import Finding, Grade
 
 
@@ -112,9 +112,17 @@ def test_a_can_network_must_be_up(tmp_path: Path, flags: str, grade: Grade) -> N
     assert devices.network("charger", "can1", tmp_path).grade is Grade.FAIL
 
 
-def test_unprotected_docking_frames_are_warned_of() -> None:
-    config = parse_config({"charger": {"interface": "virtual", "protection": "none", "accept_unprotected_can": True}})
-    assert grades(devices.charger(config)) == [Grade.OK, Grade.WARN]
+@pytest.mark.parametrize(
+    ("charger", "grade"),
+    [
+        ({}, Grade.OK),
+        ({"protection": "none", "accept_unprotected_can": True}, Grade.WARN),
+        ({"protection": "none"}, Grade.FAIL),
+        ({"dbc": "/no/such.dbc"}, Grade.FAIL),
+    ],
+)
+def test_the_contract_must_be_usable_and_frames_without_protection_are_told(charger: dict, grade: Grade) -> None:
+    assert contract(parse_config({"charger": charger})).grade is grade
 
 
 def test_each_port_of_the_robot_is_tried(monkeypatch: pytest.MonkeyPatch) -> None:
