@@ -31,6 +31,7 @@ def method(
     from controller.port_files import load_port
     from perception.evaluation import runner
 
+    out.mkdir(parents=True, exist_ok=True)  # before the bar is drawn: an error is two lines
     ports = load_port(port).shape, load_port(second_port).shape
     plan = runner.quick_plan(ports, seed) if quick else runner.full_plan(ports, seed, trials)
     with Progress(

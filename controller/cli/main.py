@@ -94,6 +94,12 @@ def main() -> None:
         raise SystemExit(130) from None
     except BrokenPipeError:
         raise SystemExit(EXIT_OTHERWISE) from None
+    except OSError as error:  # a path that was typed: commands name the likely ones themselves
+        if error.filename is None:
+            raise
+        cause, remedy = f"{error.filename}: {error.strerror}", "Check the path, its permissions and the free space."
+        sys.stderr.write(f"portdock: {cause}\n  remedy: {remedy}\n")
+        raise SystemExit(EXIT_USAGE) from None
 
 
 def exit_code(error: PortdockError) -> int:

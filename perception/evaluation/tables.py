@@ -237,24 +237,32 @@ def split_table(records: Sequence[Record]) -> Table:
 
 
 def merge_table(records: Sequence[Record]) -> Table:
-    """How well views are merged without a model."""
+    """How well views are merged without a model: each view against truth, the first being the reference, then all."""
+    merges = [r for r in records if isinstance(r, MergeRecord) and r.view > 0]
+    views = sorted({r.view for r in merges})
     rows = []
     for step in ("sequential", "joint"):
-        found = [r for r in records if isinstance(r, MergeRecord) and r.step == step and r.view > 0]
-        if found:
-            angle, centre = statistics.median([r.angle_deg for r in found]), [r.centre_mm for r in found]
-            rows.append(
-                (
-                    step,
-                    str(len({r.trial for r in found})),
-                    str(len(found)),
-                    _short(angle.value),
-                    _short(statistics.median(centre).value),
-                    _short(max(centre)),
-                )
-            )
-    header = ("step", "trials", "views", "angle median (deg)", "centre median (mm)", "centre worst (mm)")
+        found = [r for r in merges if r.step == step]
+        for name, chosen in (*((str(v + 1), [r for r in found if r.view == v]) for v in views), ("all", found)):
+            if chosen:
+                rows.append((step, name, *_merge_errors(chosen)))
+    header = (
+        "step", "view", "trials", "angle median (deg)", "95 % interval", "centre median (mm)", "95 % interval of that",
+        "centre worst (mm)",
+    )  # fmt: skip
     return Table("merge", header, tuple(rows))
+
+
+def _merge_errors(records: Sequence[MergeRecord]) -> tuple[str, ...]:
+    angle, centre = (statistics.median([getattr(r, name) for r in records]) for name in ("angle_deg", "centre_mm"))
+    return (
+        str(len({r.trial for r in records})),
+        _short(angle.value),
+        _interval(angle),
+        _short(centre.value),
+        _interval(centre),
+        _short(max(r.centre_mm for r in records)),
+    )
 
 
 def _short(value: float) -> str:

@@ -76,6 +76,16 @@ def test_an_unknown_scenario_is_a_usage_error(
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.parametrize("command", [["evaluate", "method"], ["evaluate", "calibration"], ["campaign"]])
+def test_a_folder_for_results_that_cannot_be_made_is_named(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path, command: list[str]
+) -> None:
+    (tmp_path / "file").write_text("in the way")
+    code, output = portdock(capsys, monkeypatch, *command, "--out", str(tmp_path / "file" / "results"))
+    assert code == 2 and str(tmp_path / "file") in output
+    assert_two_lines(output)
+
+
 class TestLinksThatCannotBeOpened:
     """``portdock run`` on a site whose devices are not there: exit code 3, and nothing half-written left behind."""
 
