@@ -93,6 +93,7 @@ def cell_of(
         profile_latency_s=scanner_facts(config.scanner).latency_s,
         time_scale=clock.factor,
         car=devices.car,
+        coarse=devices.coarse,
     )
 
 

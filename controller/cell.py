@@ -37,6 +37,7 @@ from drivers.base import (
     ChargerRequest,
     ChargerStatus,
     Clock,
+    LinkHealth,
     LinkLostError,
     RequestResult,
     Scanner,
@@ -86,6 +87,8 @@ class Cell:
     """The port pose that the gate holds motions against once there is a plan."""
     car: Car | None = None
     """What listens to the vehicle's own protocol, where the site has it."""
+    coarse: Scanner | None = None
+    """What looks first, where the site has it: here for its health only, the coarse stage drives it."""
     on_sweep: Callable[[int, float, float], None] = lambda profiles, arm_first_s, arm_last_s: None
     """Told what each sweep was made of (``Recorder.swept``)."""
     _request_sequence: int = 0
@@ -223,6 +226,17 @@ class Cell:
 
         if not self.supervisor.wait(still, timeout_s):
             raise MissionFault(FaultCode.MOTION_FAILED, "the arm does not come to rest")
+
+    def healths(self) -> tuple[tuple[str, LinkHealth], ...]:
+        """(name, health) of each device that the site has."""
+        devices: dict[str, Arm | Scanner | Charger | Car | None] = {
+            "arm": self.arm,
+            "scanner": self.scanner,
+            "charger": self.charger,
+            "car": self.car,
+            "coarse": self.coarse,
+        }
+        return tuple((name, device.health()) for name, device in devices.items() if device is not None)
 
     def recover_arm(self) -> None:
         """A new control link after a pause, with no memory of old motions. Raises MissionFault."""

@@ -67,8 +67,8 @@ def record_scan(
             try:
                 scan = _swept(cell, config, report)
             finally:
-                for name, device in (("arm", cell.arm), ("scanner", cell.scanner), ("charger", cell.charger)):
-                    recorder.link(name, device.health())
+                for name, link in cell.healths():
+                    recorder.link(name, link)
             cloud = scan.to_cloud()
             recorder.scan(cloud)
             states = cell.arm.history(began_s - CLOCK_HISTORY_S)

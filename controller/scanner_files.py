@@ -223,6 +223,7 @@ class _ScannerModel(_Strict):
     sequence: _SequenceModel | None = None
     start: _CommandModel | None = None
     stop: _CommandModel | None = None
+    confirmed_by_next: bool = False
 
     _hex = field_validator("sync", mode="before")(_hex)
 
@@ -239,6 +240,7 @@ class _ScannerModel(_Strict):
             frame_format.CounterField(sequence.field, sequence.modulus) if sequence else None,
             self.start.value() if self.start else None,
             self.stop.value() if self.stop else None,
+            self.confirmed_by_next,
         )
         return ScannerDescription(
             self.name,

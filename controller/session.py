@@ -131,8 +131,6 @@ def run_session(
         mission = Mission(live.cell, config, live.T_port_tcp_mated, watcher, folder, look)
         mission.run()
         summary = summary_of(mission.now, watcher.durations(live.cell.clock.now_s()), truth, folder, config)
-        if live.coarse is not None:
-            recorder.link("coarse", live.coarse.scanner.health())
         close_recording(recorder, live.cell, summary)
     prune(Path(config.recording.folder), int(config.recording.keep_mb * 1e6))
     return with_report(summary, folder)
@@ -169,9 +167,8 @@ def log_dock(config: SiteConfig, job: Progress) -> tuple[str, ...]:
 
 def close_recording(recorder: Recorder, cell: Cell, summary: MissionSummary) -> None:
     """The last things a recording needs to know."""
-    for name, device in (("arm", cell.arm), ("scanner", cell.scanner), ("charger", cell.charger), ("car", cell.car)):
-        if device is not None:
-            recorder.link(name, device.health())
+    for name, health in cell.healths():
+        recorder.link(name, health)
     keep_charger_loss(recorder, cell.charger.traffic_before_loss())
     recorder.close(summary)
     if recorder.failure is not None:

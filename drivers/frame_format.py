@@ -113,6 +113,9 @@ class FrameFormat:
     start: Command | None = None
     """Laser on; None for a device that streams as soon as it has power."""
     stop: Command | None = None
+    confirmed_by_next: bool = False
+    """A frame counts only once the next one's sync bytes stand right behind it: for devices that stream without pauses
+    and have a weak checksum. Each profile comes that much later."""
 
     def __post_init__(self) -> None:
         if not self.sync:

@@ -64,6 +64,10 @@ def status(socket: Socket = None, as_json: Json = False) -> None:
         raise typer.Exit(EXIT_OTHERWISE)
 
 
+DAMAGE = ("bytes_dropped", "bad_checksum", "bad_checksums", "late", "lost")
+"""Of a link's counters, those that a person wants to see once they are not 0; ``--json`` has all."""
+
+
 def _rows(known: Mapping[str, Any]) -> list[tuple[str, str]]:
     """(name, value) of what a person looks for first."""
     rows = [("state", f"{known['state']} for {known['in_state_s']:.0f} s")]
@@ -78,7 +82,8 @@ def _rows(known: Mapping[str, Any]) -> list[tuple[str, str]]:
         flow = "" if current is None else f", {current:.1f} A"
         rows.append(("plug", f"{known['plug']}, lock {known['lock']}{flow}"))
     for name, link in known.get("links", {}).items():
-        rows.append((name, " ".join(filter(None, ("up" if link["up"] else "DOWN", link["detail"])))))
+        damage = ", ".join(f"{what} {link['counters'][what]}" for what in DAMAGE if link["counters"].get(what))
+        rows.append((name, " ".join(filter(None, ("up" if link["up"] else "DOWN", link["detail"], damage)))))
     return rows
 
 

@@ -59,7 +59,9 @@ class Status:
     def to_json(self) -> dict[str, Any]:
         """For the socket and /health."""
         values = asdict(self) | {"healthy": self.healthy}
-        values["links"] = {link.name: {"up": link.up, "detail": link.detail} for link in self.links}
+        values["links"] = {
+            link.name: {"up": link.up, "detail": link.detail, "counters": dict(link.counters)} for link in self.links
+        }
         for name in ("outcomes", "faults"):
             values[name] = dict(values[name])
         return values
@@ -139,15 +141,10 @@ class StatusBoard:
                 robot_mode=None if arm is None else arm.mode.name,
                 safety_mode=None if arm is None else arm.safety.name,
                 ticks=0 if cell is None else cell.supervisor.ticks,
-                links=() if cell is None else _links(cell, now_s),
+                links=() if cell is None else tuple(_link(*link, now_s) for link in cell.healths()),
                 outcomes=tuple(sorted(told.outcomes.items())),
                 faults=tuple(sorted(told.faults.items())),
             )
-
-
-def _links(cell: Cell, now_s: float) -> tuple[LinkStatus, ...]:
-    healths = (("arm", cell.arm.health()), ("scanner", cell.scanner.health()), ("charger", cell.charger.health()))
-    return tuple(_link(name, health, now_s) for name, health in healths)
 
 
 def _link(name: str, health: LinkHealth, now_s: float) -> LinkStatus:

@@ -13,5 +13,5 @@ class LinkHealth:
     last_rx_s: float | None
     """Host's monotonic time of the last good data; None before the first."""
     counters: tuple[tuple[str, int], ...] = ()
-    """(name, count): bytes, frames, dropped_bytes, bad_checksums, lost, overruns, ..."""
+    """(name, count): bytes, frames, bytes_dropped, bad_checksum, late, lost, overruns, ..."""
     detail: str = ""

@@ -3,6 +3,10 @@
 A frame counts only if sync bytes, constant fields and checksum agree. Where they do not, the parser goes on ONE byte
 later: a lost byte costs the frame it was lost from, never the next one. A broken frame is dropped, never patched. Runs
 of good frames are checked and decoded together, so that the parser is far faster than any line.
+
+A checksum of eight bits lets one in 256 broken frames pass. Where the device streams without pauses, the format can
+therefore ask that the next frame's sync bytes stand right behind a frame (``confirmed_by_next``): lost, added and cut
+bytes do not pass that.
 """
 
 from __future__ import annotations
@@ -28,8 +32,10 @@ class FrameCounters:
 
     bytes: int = 0
     frames: int = 0
-    dropped_bytes: int = 0
-    bad_checksums: int = 0
+    bytes_dropped: int = 0
+    bad_checksum: int = 0
+    unconfirmed: int = 0
+    """Frames with a good checksum that no next frame followed; only where the format asks for one."""
     lost: int = 0
     stale: int = 0
 
@@ -55,6 +61,7 @@ class FrameParser:
         self._sync = np.frombuffer(layout.sync, np.uint8)
         covered = layout.size - layout.checksum.width - layout.checksum.from_byte
         self._checksum = checksum_function(layout.checksum, covered)
+        self._tail = len(layout.sync) if layout.confirmed_by_next else 0
         self._clock = ClockUnwrapper(layout.clock) if layout.clock else None
         self._sequence = SequenceTracker(layout.sequence) if layout.sequence else None
         self._running_number = 0
@@ -84,7 +91,7 @@ class FrameParser:
     def abandon_partial(self) -> None:
         """Give up the frame that was begun: its rest is not coming. What it hid is looked at with the next bytes."""
         if self._rest:
-            self.counters.dropped_bytes += 1
+            self.counters.bytes_dropped += 1
             self._rest = self._rest[1:]
 
     def restart(self) -> None:
@@ -97,33 +104,37 @@ class FrameParser:
         first = self._checked(buffer, position, 1)
         if not len(first):
             return first
-        more = min(MAX_RUN, (len(buffer) - position) // self.layout.size)
+        more = min(MAX_RUN, (len(buffer) - position - self._tail) // self.layout.size)
         return self._checked(buffer, position, more) if more > 1 else first
 
     def _checked(self, buffer: bytes, position: int, count: int) -> Frames:
         """Up to ``count`` frames from here, cut before the first that is not good."""
         size, checksum = self.layout.size, self.layout.checksum
         empty = np.empty(0, self.layout.dtype)
-        if not buffer.startswith(self.layout.sync, position) or position + count * size > len(buffer):
+        end = position + count * size
+        if not buffer.startswith(self.layout.sync, position) or end + self._tail > len(buffer):
             return empty
         raw: NDArray[np.uint8] = np.frombuffer(buffer, np.uint8, count * size, position).reshape(count, size)
         frames: Frames = raw.view(self.layout.dtype)[:, 0]
-        framed = (raw[:, : len(self._sync)] == self._sync).all(axis=1)
+        synced = (raw[:, : len(self._sync)] == self._sync).all(axis=1)
+        summed = np.array(synced)
         for name, value in self.layout.constants:
-            framed &= frames[name] == value
-        summed = framed
+            summed &= frames[name] == value
+        framed = bool(summed[0])
         if checksum.width:
             covered = raw[:, checksum.from_byte : size - checksum.width]
-            summed = framed & (self._checksum(covered) == frames["checksum"])
-        good = count if summed.all() else int(np.argmin(summed))
-        if count == 1 and framed[0] and not good:
-            self.counters.bad_checksums += 1
+            summed &= self._checksum(covered) == frames["checksum"]
+        sound = summed & np.append(synced[1:], buffer.startswith(self.layout.sync, end)) if self._tail else summed
+        good = count if sound.all() else int(np.argmin(sound))
+        if count == 1 and not good:
+            self.counters.bad_checksum += framed and not summed[0]
+            self.counters.unconfirmed += bool(summed[0])
         return frames[:good]
 
     def _may_continue(self, buffer: bytes, position: int) -> bool:
         """Whether what stands here may become a frame or an answer with more bytes."""
         left = len(buffer) - position
-        if left < self.layout.size and buffer.startswith(self.layout.sync, position):
+        if left < self.layout.size + self._tail and buffer.startswith(self.layout.sync, position):
             return True
         return any(left < len(token) and token.startswith(buffer[position:]) for token in self._tokens)
 
@@ -131,7 +142,7 @@ class FrameParser:
         """The next position at which a frame or an answer may begin, at least one byte on."""
         starts = [buffer.find(token[:1], position + 1) for token in self._tokens]
         following = min((start for start in starts if start >= 0), default=len(buffer))
-        self.counters.dropped_bytes += following - position
+        self.counters.bytes_dropped += following - position
         return following
 
     def _profiles(self, frames: Frames, host_s: float) -> Iterator[Profile]:

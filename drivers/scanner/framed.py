@@ -55,6 +55,7 @@ class FramedScanner:
         self._profiles: deque[Profile] = deque(maxlen=queue_profiles)
         self._changed = threading.Condition()
         self._overruns = 0
+        self._late = 0
         self._streaming = False
         self._abandon = False
         self._last_good_s: float | None = None
@@ -108,7 +109,7 @@ class FramedScanner:
     def health(self) -> LinkHealth:
         """Up: the line is open and, while the laser is on, good frames keep coming."""
         fresh = not self._streaming or self._silent_s() <= self._timeouts.silence_s
-        counters = (*self._parser.counters.as_pairs(), ("overruns", self._overruns))
+        counters = (*self._parser.counters.as_pairs(), ("late", self._late), ("overruns", self._overruns))
         detail = self._link.lost or ("" if fresh else "silent")
         return LinkHealth(self._link.is_open and fresh, self._last_good_s, counters, detail)
 
@@ -131,6 +132,7 @@ class FramedScanner:
         if command is None:
             return
         with self._changed:
+            self._late += len(self._parser.acks)  # of commands that were given up before
             self._parser.acks.clear()
         for attempt in range(self._timeouts.attempts):
             self._link.write(command.send)
@@ -151,6 +153,7 @@ class FramedScanner:
                 if left <= 0 or not self._link.is_open:
                     return False
                 self._changed.wait(min(left, 0.05))
+            self._parser.acks.remove(ack)
         return True
 
     def _silent_s(self) -> float:
@@ -158,4 +161,4 @@ class FramedScanner:
 
     def _describe_traffic(self) -> str:
         counters = self._parser.counters
-        return f"{counters.bytes} bytes received, {counters.frames} good frames, {counters.bad_checksums} bad checksums"
+        return f"{counters.bytes} bytes received, {counters.frames} good frames, {counters.bad_checksum} bad checksums"

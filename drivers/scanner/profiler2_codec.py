@@ -70,8 +70,8 @@ class PacketCounters:
 
     bytes: int = 0
     packets: int = 0
-    dropped_bytes: int = 0
-    bad_checksums: int = 0
+    bytes_dropped: int = 0
+    bad_checksum: int = 0
     tolerated: int = 0
 
     def as_pairs(self) -> tuple[tuple[str, int], ...]:
@@ -98,7 +98,7 @@ class PacketReader:
             if size == 0:
                 following = buffer.find(STX, position + 1)
                 following = len(buffer) if following < 0 else following
-                self.counters.dropped_bytes += following - position
+                self.counters.bytes_dropped += following - position
                 position = following
                 continue
             words = np.frombuffer(buffer, ">u2", (size - OVERHEAD) // 2, position + 4).astype(np.uint16)
@@ -110,7 +110,7 @@ class PacketReader:
 
     def flush(self) -> None:
         """Forget an unfinished packet."""
-        self.counters.dropped_bytes += len(self._rest)
+        self.counters.bytes_dropped += len(self._rest)
         self._rest = b""
 
     def _fits(self, buffer: bytes, position: int) -> int | None:
@@ -133,5 +133,5 @@ class PacketReader:
             if ended and (checked or (self.tolerant and size == nominal)):
                 self.counters.tolerated += size != nominal or not checked
                 return size
-            self.counters.bad_checksums += ended and size == nominal
+            self.counters.bad_checksum += ended and size == nominal
         return None if waiting else 0

@@ -16,7 +16,7 @@ import numpy as np
 from drivers.base import ByteSink, Clock, LinkHealth, LinkLostError, LinkOpenError
 from drivers.frame_format import CounterField
 from drivers.scanner import scip_codec as codec
-from drivers.scanner.counters import ClockUnwrapper
+from drivers.scanner.counters import ClockUnwrapper, SequenceTracker
 from drivers.scanner.scip_codec import Reply, ReplyReader
 from drivers.scanner.serial_link import SerialLink, SerialSettings
 from perception.geometry import Array
@@ -82,6 +82,7 @@ class ScipScanner:
         self._link = SerialLink(serial, sink, self._on_bytes)
         self._reader = ReplyReader()
         self._time = ClockUnwrapper(TIME)
+        self._order = SequenceTracker(TIME)
         self._changed = threading.Condition()
         self._answers: list[Reply] = []
         self._profiles: deque[Profile] = deque(maxlen=queue_profiles)
@@ -90,6 +91,7 @@ class ScipScanner:
         self._streaming = False
         self._number = 0
         self._refused = 0
+        self._late = 0
         self._last_byte_s = 0.0
         self._last_good_s: float | None = None
         self._started_s = 0.0
@@ -132,6 +134,7 @@ class ScipScanner:
         command = f"{self._stream_code()}{first:04d}{last:04d}{settings.cluster:02d}{settings.skip:1d}00"
         with self._changed:
             self._profiles.clear()
+            self._order.restart()
         reply = self.ask(command)
         if reply.status != codec.OK:
             raise LinkLostError(f"the scanner on {self._device} refuses {command}: status {reply.status}")
@@ -158,13 +161,15 @@ class ScipScanner:
     def health(self) -> LinkHealth:
         """Up: the line is open and, while streaming, scans keep coming."""
         fresh = not self._streaming or self._silent_s() <= self._settings.silence_s
-        counters = (*self._reader.counters.as_pairs(), ("refused", self._refused))
+        own = (("late", self._late), ("stale", self._order.stale), ("refused", self._refused))
+        counters = (*self._reader.counters.as_pairs(), *own)
         return LinkHealth(self._link.is_open and fresh, self._last_good_s, counters, self._link.lost or "")
 
     def ask(self, command: str) -> Reply:
         """The reply to a command (VV, PP, II, TM0..2, BM, QT, RS, GD...). Raises LinkLostError if none comes."""
         for _ in range(self._settings.attempts):
             with self._changed:
+                self._late += len(self._answers)  # to commands that were given up before
                 self._answers.clear()
             self._link.write(command.encode("ascii") + b"\n")
             reply = self._await(command)
@@ -201,6 +206,7 @@ class ScipScanner:
             while True:
                 for reply in self._answers:
                     if reply.echo == command:
+                        self._answers.remove(reply)
                         return reply
                 left_s = deadline - self._clock.now_s()
                 if left_s <= 0 or not self._link.is_open:
@@ -211,9 +217,9 @@ class ScipScanner:
         host_s = host_time_ns * 1e-9
         with self._changed:
             self._last_byte_s = host_s
-            bad = self._reader.counters.bad_checksums
+            bad = self._reader.counters.bad_checksum
             replies = self._reader.feed(chunk)
-            self._number += self._reader.counters.bad_checksums - bad  # scans that are lost leave a gap
+            self._number += self._reader.counters.bad_checksum - bad  # scans that are lost leave a gap
             for reply in replies:
                 if reply.status == codec.STREAMING:
                     self._on_scan(reply, host_s)
@@ -234,6 +240,8 @@ class ScipScanner:
         count = (last - first) // self._settings.cluster + 1
         if ticks is None or values is None or len(values) != count * (2 if self._settings.intensity else 1):
             self._refused += 1
+            return
+        if self._order.accept(ticks) is None:  # the same scan again, or one from before the last
             return
         device_s = self._time.seconds(ticks, host_s)
         ranges_mm = values[::2] if self._settings.intensity else values

@@ -37,8 +37,8 @@ class ReplyCounters:
 
     bytes: int = 0
     replies: int = 0
-    dropped_bytes: int = 0
-    bad_checksums: int = 0
+    bytes_dropped: int = 0
+    bad_checksum: int = 0
 
     def as_pairs(self) -> tuple[tuple[str, int], ...]:
         """(name, count) of each."""
@@ -57,7 +57,7 @@ class ReplyReader:
         self.counters.bytes += len(data)
         *blocks, self._rest = (self._rest + data).split(b"\n\n")
         if len(self._rest) > MAX_REPLY_BYTES:
-            self.counters.dropped_bytes += len(self._rest)
+            self.counters.bytes_dropped += len(self._rest)
             self._rest = b""
         replies = []
         for block in blocks:
@@ -65,8 +65,8 @@ class ReplyReader:
                 continue
             reply = parse_reply(block.lstrip(b"\n"))
             if reply is None:
-                self.counters.dropped_bytes += len(block) + 2
-                self.counters.bad_checksums += 1
+                self.counters.bytes_dropped += len(block) + 2
+                self.counters.bad_checksum += 1
             else:
                 self.counters.replies += 1
                 replies.append(reply)
@@ -74,7 +74,7 @@ class ReplyReader:
 
     def flush(self) -> None:
         """Forget an unfinished reply."""
-        self.counters.dropped_bytes += len(self._rest)
+        self.counters.bytes_dropped += len(self._rest)
         self._rest = b""
 
 

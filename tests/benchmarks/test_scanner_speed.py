@@ -102,7 +102,7 @@ def wide_stream() -> tuple[bytes, int]:
 
 
 def ld19_stream() -> tuple[bytes, int]:
-    return b"".join(ld19.packet(k, k / 375) for k in range(1000)), 1000
+    return b"".join(ld19.packet(k, k / 375) for k in range(1001)), 1000  # the last one is not confirmed yet
 
 
 def profiler2_stream() -> tuple[bytes, int]:
@@ -199,7 +199,7 @@ def test_a_minute_at_921_600_baud_loses_no_byte_and_takes_less_than_a_tenth_of_a
         scanner.close()
     record_property("share of a core", round(share, 4))
     record_property("bytes", counters["bytes"])
-    assert counters["dropped_bytes"] == counters["bad_checksums"] == counters["lost"] == counters["overruns"] == 0
+    assert counters["bytes_dropped"] == counters["bad_checksum"] == counters["lost"] == counters["overruns"] == 0
     assert profiles == counters["frames"]
     assert counters["bytes"] > 0.9 * 22 * 4020 * minute_s
     assert share < 0.10
@@ -209,13 +209,13 @@ def test_a_profile_is_there_soon_after_its_last_byte(tmp_path: Path, record_prop
     """99 % of all: no later than a bare sleep of 10 ms is in the same run, plus 5 ms."""
     line = PtyLine(tmp_path / "dev")
     line.plug_in()
-    parser, arrived = FrameParser(load_scanner("ld19").layout), dict[int, float]()
+    parser, arrived = FrameParser(load_scanner("wide_xz").layout), dict[int, float]()
 
     def on_bytes(chunk: bytes, host_time_ns: int) -> None:
         for profile in parser.feed(chunk, host_time_ns):
             arrived[profile.sequence] = time.monotonic()
 
-    link = SerialLink(SerialSettings(str(tmp_path / "dev"), 230_400), NullSink(), on_bytes)
+    link = SerialLink(SerialSettings(str(tmp_path / "dev"), 3_000_000), NullSink(), on_bytes)
     link.open()
     lateness, stopping = list[float](), threading.Event()
 
@@ -226,15 +226,15 @@ def test_a_profile_is_there_soon_after_its_last_byte(tmp_path: Path, record_prop
             lateness.append(time.monotonic() - began_s - 0.010)
 
     sleeper = threading.Thread(target=sleep_loop)
-    sent = list[float]()
+    sent, points = list[float](), np.stack([np.linspace(-0.07, 0.07, 1000), np.full(1000, 0.3)], axis=1)
     with busy_cores(60.0):
         sleeper.start()
         for number in range(1500):
-            frame = ld19.packet(number, number / 375)
-            line.write(frame[:30])
+            frame = wide_xz.encode(points, number, number / 70)
+            line.write(frame[:3000])
             time.sleep(0.005)
             sent.append(time.monotonic())
-            line.write(frame[30:])
+            line.write(frame[3000:])
             time.sleep(0.005)
         deadline_s = time.monotonic() + 20.0
         while len(arrived) < len(sent) and time.monotonic() < deadline_s:

@@ -57,7 +57,7 @@ def test_profiles_arrive_as_they_were_measured_in_order_and_complete(tmp_path: P
             assert np.abs(profile.points - groove(profile.sequence)).max() <= 5.01e-6
         device_s = np.array([profile.device_time_s for profile in profiles])
         np.testing.assert_allclose(np.diff(device_s), 1 / 70, atol=2e-6)
-        assert counts(scanner)["dropped_bytes"] == counts(scanner)["lost"] == 0
+        assert counts(scanner)["bytes_dropped"] == counts(scanner)["lost"] == 0
         assert scanner.health().up
 
 
@@ -104,7 +104,7 @@ def test_the_line_is_paced_at_the_clients_baud_rate(tmp_path: Path) -> None:
         profiles = take(scanner, 6)
         assert 10 * len(profiles) * 4020 / (time.monotonic() - began_s) < 1.2 * 460_800
         assert profiles[-1].sequence > len(profiles)
-        assert counts(scanner)["dropped_bytes"] == 0
+        assert counts(scanner)["bytes_dropped"] == 0
 
 
 def test_a_client_at_another_baud_rate_gets_garbage_and_says_so(tmp_path: Path) -> None:
@@ -124,8 +124,8 @@ def test_lost_doubled_and_flipped_bytes_cost_profiles_but_never_spoil_one(tmp_pa
             assert np.abs(profile.points - groove(profile.sequence)).max() <= 5.01e-6
         seen = counts(scanner)
         assert seen["lost"] > 0
-        assert seen["dropped_bytes"] > 0
-        assert seen["bad_checksums"] > 0
+        assert seen["bytes_dropped"] > 0
+        assert seen["bad_checksum"] > 0
 
 
 def test_silence_while_the_laser_is_on_is_a_lost_link(tmp_path: Path) -> None:
@@ -140,6 +140,20 @@ def test_silence_while_the_laser_is_on_is_a_lost_link(tmp_path: Path) -> None:
             assert not scanner.health().up
         finally:
             process.send_signal(signal.SIGCONT)
+
+
+def test_an_acknowledgement_that_comes_after_it_was_given_up_is_counted_as_late(tmp_path: Path) -> None:
+    with mock(tmp_path / "dev") as process, driver(tmp_path / "dev") as scanner:
+        scanner._timeouts = FramedTimeouts(ack_s=0.05, attempts=1)
+        process.send_signal(signal.SIGSTOP)
+        with pytest.raises(LinkLostError, match="does not acknowledge"):
+            scanner.start()
+        process.send_signal(signal.SIGCONT)
+        until(lambda: counts(scanner)["bytes"] > 0, "the late answer")
+        scanner._timeouts = FramedTimeouts(ack_s=5.0)
+        scanner.start()
+        assert counts(scanner)["late"] == 1
+        assert take(scanner, 3)
 
 
 def test_unplugging_is_noticed_and_replugging_under_another_name_works(tmp_path: Path) -> None:

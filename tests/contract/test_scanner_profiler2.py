@@ -77,7 +77,7 @@ def test_lost_and_flipped_bytes_are_asked_for_again(tmp_path: Path) -> None:
             assert inside.all()
         seen = dict(scanner.health().counters)
         assert seen["timeouts"] > 0
-        assert seen["dropped_bytes"] > 0
+        assert seen["bytes_dropped"] > 0
 
 
 def test_a_device_that_does_not_speak_is_a_lost_link(tmp_path: Path) -> None:

@@ -112,7 +112,7 @@ def test_spoiled_scans_are_dropped_and_counted(tmp_path: Path) -> None:
             for profile in take(scanner, 25):
                 assert np.linalg.norm(profile.points, axis=1).min() > 1.4
                 assert np.linalg.norm(profile.points, axis=1).max() < 2.5
-            assert dict(scanner.health().counters)["bad_checksums"] > 0
+            assert dict(scanner.health().counters)["bad_checksum"] > 0
         finally:
             scanner.close()
 

@@ -22,7 +22,7 @@ def test_profiles_are_shown_with_rate_extent_and_counters(tmp_path: Path) -> Non
     last = shown.output.strip().splitlines()[-1]
     assert "points 974 (97% of the samples)" in last
     assert "x -77.9 to 77.9 mm" in last
-    assert "bad_checksums 0" in last
+    assert "bad_checksum 0" in last
 
 
 def test_a_missing_device_and_a_missing_file_are_told_apart(tmp_path: Path) -> None:

@@ -27,7 +27,7 @@ def portdock(*arguments: str, folder: Path) -> str:
 @pytest.mark.timeout(600)
 def test_a_sweep_is_recorded_and_converted_to_every_format(tmp_path: Path) -> None:
     shown = portdock("scan", "--mock", "--fast", "--out", "sweep.mcap", folder=tmp_path)
-    assert "bad_checksums 0" in shown
+    assert "bad_checksum 0" in shown
     recording = read_recording(tmp_path / "sweep.mcap")
     assert recording.complete
     assert b"".join(chunk.data for chunk in recording.scanner_chunks("tx")).startswith(b"L1\r\n")

@@ -122,7 +122,7 @@ def record_mission(path: Path, result: MissionSummary | None = None) -> Path:
         recorder.transition(before, f"{before.lower()}_done", after, clock.now_s())
         _record_state(recorder, clock, after, number)
         clock.sleep(1.0)
-    recorder.link("scanner", LinkHealth(True, clock.now_s(), (("bytes", 4096), ("bad_checksums", 2)), "mock"))
+    recorder.link("scanner", LinkHealth(True, clock.now_s(), (("bytes", 4096), ("bad_checksum", 2)), "mock"))
     recorder.link("arm", LinkHealth(True, clock.now_s()))
     recorder.contact(1, summary().contact or ContactSummary(0, 0, 0, 0, 0))
     recorder.close(result or summary())

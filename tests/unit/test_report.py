@@ -92,7 +92,7 @@ def test_the_key_facts_are_in_the_text(charged: str) -> None:
         "62 N peak force",
         "accepted, port",
         "all checks passed",
-        "bytes 4,096, bad checksums 2",
+        "bytes 4,096, bad checksum 2",
         "max_force_n: 80",
         "located the port",
         "portdock is not a safety function",

@@ -40,7 +40,7 @@ def test_a_wrong_block_check_is_dropped_or_tolerated_and_counted() -> None:
     spoiled = SIZE_ANSWER[:-1] + b"\x00"
     strict, tolerant = PacketReader(), PacketReader(tolerant=True)
     assert strict.feed(spoiled + ADDRESS_ANSWER)[0].command == 0x400B
-    assert strict.counters.bad_checksums == 1
+    assert strict.counters.bad_checksum == 1
     assert tolerant.feed(spoiled)[0].words[-1] == 0x6800
     assert tolerant.counters.tolerated == 1
 

@@ -64,7 +64,7 @@ def test_replies_are_found_however_they_are_cut(size: int) -> None:
     for start in range(0, len(stream), size):
         replies += reader.feed(stream[start : start + size])
     assert [reply.status for reply in replies] == ["99", "00", "99"]
-    assert reader.counters.bad_checksums == 0
+    assert reader.counters.bad_checksum == 0
 
 
 @settings(max_examples=500, deadline=None)

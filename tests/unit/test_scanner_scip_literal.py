@@ -9,7 +9,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from drivers.base import LinkLostError, MonotonicClock, NullSink
+from drivers.scanner.scip import ScipGeometry, ScipScanner, ScipSettings
 from drivers.scanner.scip_codec import Reply, ReplyReader, decode, parameters, parse_reply
+from drivers.scanner.serial_link import SerialSettings
 from mocks.scanner.scip import ScipDevice
 from tests.unit.test_scanner_scip_codec import Clock, Wire
 
@@ -203,3 +206,37 @@ def test_a_line_of_64_characters_ends_in_the_middle_of_a_number() -> None:
 
 def test_a_carriage_return_ends_a_command_too() -> None:
     assert talk(b"QT\r") == b"QT\n00P\n\n"
+
+
+# --- the driver on scans and answers that come at the wrong time ------------------------------------------------------
+
+
+def streaming_driver() -> ScipScanner:
+    """As after ``start`` with a device of five steps, without a line."""
+    scanner = ScipScanner(SerialSettings("none", 115_200), ScipSettings(), NullSink(), MonotonicClock())
+    scanner._geometry = ScipGeometry("", 20, 5600, 1024, 382, 386, 384, 600)
+    return scanner
+
+
+def scan_at(stamp: bytes) -> bytes:
+    """Five ranges of 1000 mm (0x3E8: 0, 15, 40) with this time stamp and its sum."""
+    return b"MD0382038601000\n99b\n" + stamp + b"\n" + b"0?X0?X0?X0?X0?XS\n\n"
+
+
+def test_a_scan_that_comes_again_and_yesterdays_are_counted_and_not_handed_on() -> None:
+    scanner = streaming_driver()
+    for stamp in (b"00A0A", b"00BPb", b"00BPb", b"00A0A", b"00D@T"):  # 1088, 1184, 1184, 1088, 1296 ms
+        scanner._on_bytes(scan_at(stamp), 0)
+    profiles = scanner.take()
+    assert [profile.device_time_s for profile in profiles] == pytest.approx([1.088, 1.184, 1.296])
+    np.testing.assert_allclose(np.linalg.norm(profiles[0].points, axis=1), np.ones(5))
+    counters = dict(scanner.health().counters)
+    assert (counters["stale"], counters["bad_checksum"]) == (2, 0)
+
+
+def test_an_answer_to_a_question_that_was_given_up_is_counted_as_late() -> None:
+    scanner = streaming_driver()
+    scanner._on_bytes(b"BM\n00P\n\n", 0)
+    with pytest.raises(LinkLostError, match="not open"):
+        scanner.ask("QT")
+    assert dict(scanner.health().counters)["late"] == 1

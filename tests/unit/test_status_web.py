@@ -7,14 +7,18 @@ import re
 import socket
 import urllib.error
 import urllib.request
+from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
+from controller.cli.jobs import _rows
 from controller.faults import Fault, FaultCode, Outcome
 from controller.states import State
 from controller.status.board import Status, StatusBoard
 from controller.status.web import StatusWeb, as_prometheus
+from drivers.base import LinkHealth
 from tests.unit.mission_rig import CLOCK, Rig
 
 SAMPLE = re.compile(r'^[a-z_]+(\{[a-z_]+="[^"\n]*"(,[a-z_]+="[^"\n]*")*\})? [-+0-9.einf]+$')
@@ -50,6 +54,20 @@ def test_metrics_are_prometheus_text_and_name_the_state(board: StatusBoard) -> N
     assert {f'portdock_link_up{{link="{name}"}} 1' for name in ("arm", "scanner", "charger")} <= set(lines)
     families = re.findall(r"^# TYPE (\S+)", text, re.MULTILINE)
     assert len(families) == len(set(families))
+
+
+def test_what_the_lines_lost_is_in_status_figures_and_on_the_terminal_also_of_a_coarse_scanner(tmp_path: Path) -> None:
+    cell = Rig(tmp_path).cell
+    counted = LinkHealth(
+        True, CLOCK.now_s(), (("bytes", 9000), ("bytes_dropped", 47), ("bad_checksum", 1), ("late", 0))
+    )
+    coarse = SimpleNamespace(health=lambda: counted)
+    board = StatusBoard(CLOCK)
+    board.attach(replace(cell, coarse=coarse))  # type: ignore[arg-type]
+    status = board.status()
+    assert 'portdock_link_events_total{link="coarse",what="bytes_dropped"} 47' in as_prometheus(status)
+    assert status.to_json()["links"]["coarse"]["counters"] == dict(counted.counters)
+    assert dict(_rows(status.to_json()))["coarse"] == "up bytes_dropped 47, bad_checksum 1"
 
 
 def test_outcomes_and_faults_are_counted(board: StatusBoard) -> None:
