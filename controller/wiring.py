@@ -238,4 +238,5 @@ def can_traffic(
     if file is not None:
         return CanTraffic(contract, listen_to_file(file))
     settings = CanSettings(channel=channel or "", interface=interface, bitrate=bitrate)
-    return CanTraffic(contract, listen_to_bus(settings, MonotonicClock(), seconds, contract.is_fd))
+    clock = MonotonicClock()
+    return CanTraffic(contract, listen_to_bus(settings, clock, seconds, contract.is_fd), clock.now_s)

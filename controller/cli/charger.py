@@ -67,6 +67,7 @@ def _every(period_s: float, ticks: Iterator[None]) -> Iterator[None]:
 def _table(traffic: CanTraffic) -> Table:
     table = Table(title=f"{traffic.foreign} foreign frames, {traffic.errors} error frames", title_justify="left")
     table.add_column("message", no_wrap=True)
+    table.add_column("health", no_wrap=True)
     for heading in ("frames", "period", "bad", "repeated", "astray", "missed", "newest"):
         table.add_column(heading, overflow="fold")
     for row in traffic.health():
@@ -74,5 +75,5 @@ def _table(traffic: CanTraffic) -> Table:
         newest = ", ".join(f"{name} {value}" for name, value in row.values)
         counts = (row.bad_checksums + row.unreadable, row.repeated, row.wrong_sequence, row.missed)
         note = f" ({row.suspicion})" if row.suspicion else ""
-        table.add_row(row.name, str(row.frames), period, *(str(n) for n in counts), newest + note)
+        table.add_row(row.name, row.state, str(row.frames), period, *(str(n) for n in counts), newest + note)
     return table

@@ -109,6 +109,20 @@ class Codec:
         shown = [s for s in self.message.signals if s.name not in _HEADER]
         return tuple((s.name, _word(values[s.name], s)) for s in shown)
 
+    @property
+    def silences_s(self) -> tuple[float, float]:
+        """After how much silence the message is late, and lost: as the file says, else 3 and 5 cycles."""
+        attributes = self.message.dbc.attributes if self.message.dbc else {}
+        names = (("TimeoutDegradedMs", 3.0), ("TimeoutLostMs", 5.0))
+        told_ms = [attributes[name].value if name in attributes else 0 for name, _ in names]
+        late_s, lost_s = (ms / 1000.0 or cycles * self.cycle_s for ms, (_, cycles) in zip(told_ms, names, strict=True))
+        return min(late_s, lost_s), lost_s
+
+    @property
+    def pauses(self) -> bool:
+        """Whether it is sent only while there is something to say, so that silence means nothing."""
+        return str(self.message.send_type) == "CyclicIfActive"
+
     def _counted(self, counter: int) -> dict[str, int]:
         used = self.protection.scheme is not Scheme.NONE and any(s.name == "Counter" for s in self.message.signals)
         return {"Counter": counter} if used else {}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -40,6 +40,8 @@ class MessageHealth:
     values: tuple[tuple[str, str], ...]
     """Signal and value of the newest frame, as the DBC words them."""
     suspicion: str
+    state: str
+    """Good, late, lost, ..., as one would say it."""
 
 
 @dataclass(slots=True)
@@ -50,13 +52,20 @@ class _Ear:
     values: tuple[tuple[str, str], ...] = ()
     frames: int = 0
     unreadable: int = 0
+    good_s: float | None = None
+    recent: deque[bool] = field(default_factory=lambda: deque(maxlen=_RECENT))
+    """Whether each of the last frames was in order; one that begins a sequence is."""
 
 
 class CanTraffic:
     """Sorts the frames of a source by message and judges each."""
 
-    def __init__(self, contract: Contract, source: Iterable[CanFrame | None]) -> None:
-        self._source = source
+    def __init__(
+        self, contract: Contract, source: Iterable[CanFrame | None], now_s: Callable[[], float] | None = None
+    ) -> None:
+        """``now_s``: the time of a live source; a recording's is that of its newest frame."""
+        self._source, self._newest_s = source, float("-inf")
+        self._now_s = now_s or (lambda: self._newest_s)
         self._ears = {codec.arbitration_id: _Ear(codec, Receiver(codec.protection)) for codec in contract.codecs}
         self.foreign = 0
         self.errors = 0
@@ -71,6 +80,7 @@ class CanTraffic:
     def take(self, frame: CanFrame) -> None:
         """Count one frame of the bus."""
         ear = self._ears.get(frame.arbitration_id)
+        self._newest_s = max(self._newest_s, frame.time_s)
         if frame.is_error:
             self.errors += 1
         elif ear is None or ear.codec.is_extended != frame.is_extended:
@@ -80,7 +90,7 @@ class CanTraffic:
 
     def health(self) -> list[MessageHealth]:
         """One entry for each message of the contract, in the DBC's order."""
-        return [_health(ear) for ear in self._ears.values()]
+        return [_health(ear, self._now_s()) for ear in self._ears.values()]
 
 
 def _hear(ear: _Ear, frame: CanFrame) -> None:
@@ -89,13 +99,31 @@ def _hear(ear: _Ear, frame: CanFrame) -> None:
         values = ear.codec.decode(frame.data)
     except FrameError:
         ear.unreadable += 1
+        ear.recent.append(False)
         return
     ear.times_s.append(frame.time_s)
-    ear.receiver.check(frame.data, int(values.get("Counter", 0)))
+    verdict = ear.receiver.check(frame.data, int(values.get("Counter", 0)))
+    ear.recent.append(verdict.accepted or verdict is Verdict.INITIAL)
+    if verdict.accepted:
+        ear.good_s = frame.time_s
     ear.values = ear.codec.words(frame.data)
 
 
-def _health(ear: _Ear) -> MessageHealth:
+def _state(ear: _Ear, now_s: float) -> str:
+    late_s, lost_s = ear.codec.silences_s
+    if ear.frames == 0:
+        return "never heard"
+    if ear.good_s is None:
+        return "no good frame"
+    silence_s = now_s - ear.good_s
+    if silence_s > lost_s:
+        return "not being sent" if ear.codec.pauses else f"lost for {silence_s:.1f} s"
+    if not all(ear.recent):
+        return f"{ear.recent.count(False)} of {len(ear.recent)} bad"
+    return "late" if silence_s > late_s else "good"
+
+
+def _health(ear: _Ear, now_s: float) -> MessageHealth:
     counts, times_s = ear.receiver.counts, ear.times_s
     return MessageHealth(
         name=ear.codec.name,
@@ -112,6 +140,7 @@ def _health(ear: _Ear) -> MessageHealth:
         last_s=times_s[-1] if times_s else None,
         values=ear.values,
         suspicion=ear.receiver.suspicion,
+        state=_state(ear, now_s),
     )
 
 

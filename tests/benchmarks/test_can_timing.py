@@ -144,10 +144,12 @@ def _sent(cell: Cell, count: int) -> list[float]:
 
 def test_an_emergency_stop_on_can_reaches_the_arm_at_once(cell_with_arm: Cell, mock_arm: MockController) -> None:
     cell = cell_with_arm
-    home, latencies_s = cell.arm.state().T_base_tcp, []
+    home = cell.arm.state().T_base_tcp
+    ends, latencies_s = [home.moved([0.0, 0.0, z_m]) for z_m in (-0.05, -0.15)], []
     with perception_like_load(), BareSleeps() as sleeps:
-        for number in range(TRIALS):
-            cell.arm.move_linear(home.moved([0.0, 0.0, -0.15 if number % 2 else -0.05]), 0.03, 0.5)
+        for _ in range(TRIALS):
+            here = cell.arm.state().T_base_tcp
+            cell.arm.move_linear(max(ends, key=here.distance_to), 0.02, 0.5)  # so far that it is under way when stopped
             until(lambda: cell.arm.state().moving, "the arm moves", 60.0)
             cell.link.log.frames.clear()
             cell.charger.control(estop=True)

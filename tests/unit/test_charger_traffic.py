@@ -9,6 +9,7 @@ import pytest
 from typer.testing import CliRunner
 
 from controller.cli.charger import app
+from drivers.base import CanFrame
 from drivers.charger.contract import Contract
 from drivers.charger.e2e import next_counter
 from drivers.charger.traffic import CanTraffic, listen_to_file
@@ -65,6 +66,34 @@ def test_the_health_of_a_message_is_read_from_a_recording(tmp_path: Path, name: 
     assert status.period_s == pytest.approx(0.05, abs=1e-3)
     assert dict(status.values)["State"] == "Charging"
     assert (traffic.foreign, traffic.errors) == (1, 1)
+    states = {row.name: row.state for row in traffic.health()}
+    assert states["CH_Status"] == "lost for 0.6 s", "its last frame is older than the recording's end"
+    assert states["RC_Heartbeat"] == "never heard"
+
+
+def _listened(until_s: float, *, damaged: int = -1, beats: int = 40) -> dict[str, str]:
+    """The states at a time, of a bus that carried status frames every 50 ms, and one pose frame at the beginning."""
+    status, pose = STATUS, CONTRACT["RC_DockPos"]
+    frames = [CanFrame(0.0, "rx", pose.arbitration_id, pose.encode(k, PosSeq=1, X=1, Y=2, Z=3)) for k in range(2)]
+    for k in range(beats):
+        data = bytearray(status.encode(k % 15, **VALUES))
+        data[4] ^= k == damaged
+        frames.append(CanFrame(0.05 * k, "rx", status.arbitration_id, bytes(data)))
+    traffic = CanTraffic(CONTRACT, frames, lambda: until_s)
+    for _ in traffic.listen():
+        pass
+    return {row.name: row.state for row in traffic.health()}
+
+
+def test_each_message_is_said_to_be_good_late_or_lost() -> None:
+    last_s = 0.05 * 39
+    assert _listened(last_s + 0.1)["CH_Status"] == "good"
+    assert _listened(last_s + 0.2)["CH_Status"] == "late"
+    assert _listened(last_s + 0.3)["CH_Status"] == "lost for 0.3 s"
+    assert _listened(last_s, damaged=35)["CH_Status"] == "1 of 20 bad"
+    assert _listened(last_s, damaged=10)["CH_Status"] == "good", "long ago"
+    assert _listened(last_s, beats=1)["CH_Status"] == "no good frame", "one frame alone proves no life"
+    assert _listened(last_s)["RC_DockPos"] == "not being sent", "a pose is only announced while there is one"
 
 
 def test_monitor_prints_the_table(tmp_path: Path) -> None:
@@ -72,6 +101,7 @@ def test_monitor_prints_the_table(tmp_path: Path) -> None:
     assert result.exit_code == 0
     assert "CH_Status" in result.stdout
     assert "RC_Heartbeat" in result.stdout
+    assert "never heard" in result.stdout
 
 
 @pytest.mark.parametrize("arguments", [[], ["--channel", "x", "--file", "y"]])
