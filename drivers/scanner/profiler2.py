@@ -191,8 +191,8 @@ class Profiler2:
 def points_of(raw: Words, settings: Profiler2Settings) -> tuple[Array, float]:
     """Points (N, 2) in metres of XY words, only what was measured, and the share of it."""
     xy = raw.reshape(-1, 2)
-    seen = (xy != NO_MEASUREMENT).all(axis=1)
-    metres = xy[seen].astype(np.int16) * 1e-6
-    sign = 1.0 if settings.y_away else -1.0
-    points = np.stack([metres[:, 0], settings.reference_m + sign * metres[:, 1]], axis=1)
-    return points, float(seen.mean()) if len(seen) else 0.0
+    seen = (xy[:, 0] != NO_MEASUREMENT) & (xy[:, 1] != NO_MEASUREMENT)
+    points = xy[seen].astype(np.int16).astype(np.float64)
+    points *= 1e-6, 1e-6 if settings.y_away else -1e-6
+    points[:, 1] += settings.reference_m
+    return points, len(points) / len(seen) if len(seen) else 0.0

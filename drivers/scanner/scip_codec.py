@@ -9,7 +9,6 @@ protocol specification for SCIP 2.0 standard", C-42-03320B.
 from __future__ import annotations
 
 from dataclasses import dataclass, field, fields
-from itertools import takewhile
 
 import numpy as np
 from numpy.typing import NDArray
@@ -85,8 +84,8 @@ def parse_reply(block: bytes) -> Reply | None:
         return None
     if len(lines[1]) != 3:
         return None
-    full = sum(1 for _ in takewhile(lambda line: len(line) == LINE_CHARACTERS + 1, lines[3:]))
-    if not full or not _are_sound(b"\n".join(lines[3 : 3 + full]), full):
+    full = len(lines) - 3 - (len(lines[-1]) != LINE_CHARACTERS + 1)  # of measured data only the last line is shorter
+    if full < 1 or not _are_sound(b"\n".join(lines[3 : 3 + full]), full):
         full = 0
     if not all(is_sound(line) for line in lines[1:3] + lines[3 + full :]):
         return None
@@ -98,7 +97,11 @@ def _are_sound(text: bytes, count: int) -> bool:
     """``is_sound`` of full lines in one go, for those without a semicolon's freedom: the lines of measured data."""
     if len(text) != count * (LINE_CHARACTERS + 2) - 1 or text.translate(None, _PRINTABLE_AND_NEW_LINE):
         return False
+    if text.count(b"\n") != count - 1:
+        return False
     grid = np.frombuffer(text + b"\n", np.uint8).reshape(count, LINE_CHARACTERS + 2)
+    if (grid[:, LINE_CHARACTERS + 1] != ord("\n")).any():
+        return False
     sums = (grid[:, :LINE_CHARACTERS].sum(axis=1, dtype=np.uint8) & 0x3F) + 0x30  # wraps at 256: the low bits stay
     return bool((sums == grid[:, LINE_CHARACTERS]).all())
 
@@ -121,10 +124,11 @@ def decode(lines: tuple[bytes, ...], characters: int) -> Ints | None:
     raw = np.frombuffer(b"".join(lines), np.uint8) - np.uint8(0x30)
     if len(raw) % characters or (len(raw) and raw.max() > 0x3F):
         return None
-    digits = raw.reshape(-1, characters)
-    values: Ints = digits[:, 0].astype(np.int32)
+    digits = raw.reshape(-1, characters).T.astype(np.int32, order="C")  # in rows: a few times faster
+    values: Ints = digits[0]
     for place in range(1, characters):
-        values = values << 6 | digits[:, place]
+        values <<= 6
+        values |= digits[place]
     return values
 
 
