@@ -2,7 +2,7 @@
 
 Prints one JSON line, ``{"device": PATH, "protocol": ..., "pid": ...}``, when it listens. What it sees (``--source``):
 
-- ``groove``: a made-up panel, for ``scip`` and ``ld19`` a made-up room; no world needed;
+- ``groove``: a made-up panel, for ``scip`` and ``--preset ld19`` a made-up room; no world needed;
 - ``world``: ray-cast from the mock world in ``--world DIR``. The folder holds ``world.json`` (WorldSpec.save),
   ``port_shape.json`` (WorldSpec.save_shape) and ``blackboard`` (Blackboard.create);
 - any other value: the path of a recorded sweep (.npz, see mocks/scanner/sources.py).
@@ -29,14 +29,14 @@ import signal
 import sys
 import tempfile
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from mocks.scanner import scip
+from mocks.scanner import ld19, scip
 from mocks.scanner.controls import listen
 from mocks.scanner.emulated_clock import EmulatedClock
 from mocks.scanner.ld19 import Ld19Device
@@ -65,8 +65,8 @@ def main(arguments: list[str] | None = None) -> int:
         parser.error("--source world needs --world DIR")
     if options.preset == "ld19" and options.protocol != "framed":
         parser.error("--preset belongs to --protocol framed")
-    if options.preset == "ld19" and options.source != "groove":
-        parser.error("this device sees a room of its own: it takes no --source")
+    if options.preset == "ld19" and options.source not in ("groove", "world"):
+        parser.error("--preset ld19 sees a room of its own or the world: it takes no recorded sweep")
     if options.protocol == "scip" and options.source not in ("groove", "world"):
         parser.error("--protocol scip sees a room of its own or the world: it takes no recorded sweep")
     if options.coarse and (options.protocol, options.source) != ("scip", "world"):
@@ -129,21 +129,35 @@ def _device(
     if options.protocol == "scip":
         return ScipDevice(wire, clock, source, **own_time)
     if options.preset == "ld19":
-        return Ld19Device(wire, clock, **own_time)
+        sight = _lidar_sight(source) if isinstance(source, WorldView) else ld19.room
+        return Ld19Device(wire, clock, sight, **own_time)
     if options.trigger_output is None:
         return StreamingDevice(source, wire, timing, clock, rng)
     return StreamingDevice(source, wire, timing, clock, rng, partial(source.edges, options.trigger_output))
 
 
+def _lidar_sight(view: WorldView) -> ld19.Sight:
+    """A turning lidar's ranges in the world."""
+
+    def sight(angles_deg: Sequence[float], time_s: float) -> ld19.Ranges | None:
+        seen = view.at(np.radians(angles_deg), time_s)
+        return None if seen is None else seen[0]
+
+    return sight
+
+
 def _source(options: argparse.Namespace, rng: np.random.Generator) -> tuple[Source | View, EmulatedClock]:
+    precision = {"noise_m": options.noise_m, "systematic_m": options.systematic_m}
     if options.protocol == "scip":
         if options.source == "groove":
             return RoomView(scip.STEPS_SEEN, scip.FRONT), EmulatedClock.of_wall(options.time_scale)
-        precision = {"noise_m": options.noise_m, "systematic_m": options.systematic_m}
         view = WorldView(options.world, scip.ANGLES_RAD, rng, coarse=options.coarse, **precision)
         return view, view.clock
     if options.source == "groove" and options.protocol == "profiler2":
         return GrooveSource(832, 0.015, options.reference_m), EmulatedClock.of_wall(options.time_scale)
+    if options.preset == "ld19" and options.source == "world":
+        view = WorldView(options.world, np.zeros(0), rng, coarse=False, **precision)
+        return view, view.clock
     if options.source == "groove":
         return GrooveSource(), EmulatedClock.of_wall(options.time_scale)
     if options.source == "world":
@@ -176,8 +190,13 @@ def _parser() -> argparse.ArgumentParser:
     add("--reference-m", type=float, default=0.10, help="profiler2: distance at which Y is 0")
     add("--address-in-words", action="store_true", help="profiler2: addresses count words, not bytes")
     add("--coarse", action="store_true", help="scip in a world: on the mount of the second, coarse scanner")
-    add("--noise-m", type=float, default=0.010, help="scip in a world: 1 sigma of each range")
-    add("--systematic-m", type=float, default=0.010, help="scip in a world: 1 sigma of what one surface adds to all")
+    add("--noise-m", type=float, default=0.010, help="scip and ld19 in a world: 1 sigma of each range")
+    add(
+        "--systematic-m",
+        type=float,
+        default=0.010,
+        help="scip and ld19 in a world: 1 sigma of what one surface adds to all",
+    )
     add("--trigger-output", type=int, help="with a world: expose on each rising edge of this output of the arm")
     add("--lost", type=float, default=0.0, help="fault: probability that a byte is lost")
     add("--doubled", type=float, default=0.0, help="fault: probability that a byte comes twice")

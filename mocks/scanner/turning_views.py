@@ -78,12 +78,16 @@ class WorldView:
 
     def scan(self, number: int, time_s: float) -> Scan | None:
         """Once the arm mock has published its pose for that time."""
+        return self.at(self._angles, time_s)
+
+    def at(self, angles_rad: NDArray[np.float64], time_s: float) -> Scan | None:
+        """The same for any angles (N,) to the right of the front."""
         from perception.evaluation.range_finder import ranges_from
 
         T_port_scanner = self._seen.T_port_scanner(time_s)
         if T_port_scanner is None:
             return None
-        true_m, kinds = ranges_from(self._seen.scene, T_port_scanner, self._angles, self._rng)
+        true_m, kinds = ranges_from(self._seen.scene, T_port_scanner, angles_rad, self._rng)
         measured_m = true_m + self._bias_m(kinds) + self._rng.normal(0.0, self._noise_m, len(true_m))
         hit = np.isfinite(true_m) & (measured_m > 0.0)
         millimetres = np.where(hit, np.round(np.where(hit, measured_m, 0.0) * 1e3), NO_ECHO_MM).astype(np.int64)

@@ -1,7 +1,8 @@
-"""The SCIP mock in the mock world: its ranges are those of the vehicle from where the arm truly was."""
+"""Turning range finders in the mock world: their ranges are those of the vehicle from where the arm truly was."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,8 +10,10 @@ import numpy as np
 import pytest
 
 from controller.port_files import load_port
+from controller.scanner_files import load_scanner
+from drivers.scanner.frame_parser import FrameParser
 from drivers.scanner.scip_codec import ReplyReader, decode
-from mocks.scanner import scip
+from mocks.scanner import ld19, scip
 from mocks.scanner.scip import ScipDevice
 from mocks.scanner.turning_views import WorldView
 from mocks.world.blackboard import Blackboard
@@ -111,3 +114,24 @@ def test_a_world_without_a_second_scanner_says_so(tmp_path: Path) -> None:
     world(tmp_path, T_flange_coarse=None)
     with pytest.raises(ValueError, match="no second scanner"):
         view(tmp_path)
+
+
+def test_an_ld19_sees_the_panel_ahead_and_nothing_behind(tmp_path: Path) -> None:
+    board = world(tmp_path)
+    board.put_arm(0.0, facing(DISTANCE_M))
+    board.put_arm(0.15, facing(DISTANCE_M))
+    seen, wire, clock = view(tmp_path), Wire(), Clock()
+
+    def sight(angles_deg: Sequence[float], time_s: float) -> ld19.Ranges | None:
+        scan = seen.at(np.radians(angles_deg), time_s)
+        return None if scan is None else scan[0]
+
+    device = ld19.Ld19Device(wire, clock, sight)  # type: ignore[arg-type]
+    clock.time_s = 0.2  # packets of the last 50 ms wait for the arm's pose
+    device.collect()
+    assert len(wire.sent) == 47 * int(0.15 * ld19.RATE_HZ)
+    points = np.concatenate([p.points for p in FrameParser(load_scanner("ld19").layout).feed(wire.sent, 0)])
+    ahead = points[np.abs(np.arctan2(points[:, 0], points[:, 1])) < np.radians(15)]
+    assert len(ahead) > 20
+    assert np.all(np.abs(ahead[:, 1] - (DISTANCE_M - 0.03)) < 0.03)
+    assert np.all(points[:, 1] > 0.0), "there is no car behind the scanner"
