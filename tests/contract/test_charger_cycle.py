@@ -234,7 +234,8 @@ def test_the_plug_is_sensed_and_locked_in_the_mocks_shared_world(tmp_path: Path)
 
 @pytest.mark.parametrize("protection", ["none", "counter", "j1850", "e2e-p5"])
 def test_other_protections_work_too(tmp_path: Path, protection: str) -> None:
-    mock = MockProcess(tmp_path, PATIENT, f"--protection={protection}")
+    fd = ["--fd"] if protection == "e2e-p5" else []
+    mock = MockProcess(tmp_path, PATIENT, f"--protection={protection}", *fd)
     bench = Bench(mock, protection=Scheme(protection))
     try:
         bench.welcome()

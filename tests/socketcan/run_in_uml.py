@@ -16,7 +16,11 @@ from pathlib import Path
 
 PROJECT = Path(__file__).resolve().parents[2]
 TIMEOUT_S = 900
-DEFAULT_TESTS = ["tests/socketcan"]
+DEFAULT_TESTS = [
+    "tests/socketcan",
+    *(f"tests/contract/test_charger_{what}.py" for what in ("cycle", "requests", "other_dbc")),
+]
+"""The contract tests run on SocketCAN too: ``tests.contract.charger_bench`` gives each mock a vcan there."""
 
 
 def main(arguments: list[str]) -> int:
