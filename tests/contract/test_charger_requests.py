@@ -44,6 +44,13 @@ def _stopped(bench: Bench) -> None:
     bench.until(lambda: not bench.charger.status().estop)
 
 
+def _mute(bench: Bench) -> None:
+    """No more acknowledgements. Its next words but one show that it has been told."""
+    bench.mock.control(mute=True)
+    ok = dict(bench.charger.health().counters)["ok"]
+    bench.until(lambda: dict(bench.charger.health().counters)["ok"] >= ok + 4)
+
+
 PREPARED: dict[ChargerRequest, Callable[[Bench], None]] = {
     R.RESERVE: Bench.welcome,
     R.UNLOCK_DOCK: _reserved,
@@ -107,7 +114,7 @@ def test_unanswered_it_is_sent_again_and_an_answer_that_comes_late_counts(
 ) -> None:
     PREPARED[request_](bench)
     resent = dict(bench.charger.health().counters)["resent_requests"]
-    bench.mock.control(mute=True)
+    _mute(bench)
     number = bench.charger.request(request_)
     bench.until(lambda: dict(bench.charger.health().counters)["resent_requests"] == resent + 1)
     assert bench.charger.result(number) is RequestResult.PENDING
@@ -122,7 +129,7 @@ def test_never_answered_it_is_given_up_after_two_resends(mock: MockProcess, requ
         PREPARED[request_](bench)
         bench.charger._outgoing.handshake._ack_timeout_s = 0.1  # the preparation had its full time
         resent = dict(bench.charger.health().counters)["resent_requests"]
-        mock.control(mute=True)
+        _mute(bench)
         assert bench.ask(request_) is RequestResult.TIMED_OUT
         assert dict(bench.charger.health().counters)["resent_requests"] == resent + 2
     finally:
