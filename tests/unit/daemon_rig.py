@@ -57,7 +57,7 @@ def main(folder: Path) -> None:
 
     def assemble(c: SiteConfig, evidence: Evidence, closing: ExitStack, alive: Callable[[], None]) -> Assembly:
         rig.cell.records = evidence
-        rig.supervisor._alive = lambda: (alive(), _keep(rig, folder / "world.json"))[0]
+        rig.supervisor._alive = lambda: (alive(), _exchange(rig, folder))[0]
         rig.supervisor.start()
         closing.callback(lambda: _keep(rig, folder / "world.json"))
         closing.callback(rig.supervisor.close)
@@ -65,6 +65,15 @@ def main(folder: Path) -> None:
 
     looking: Any = lambda live: StandInLooking(rig.cell, config, [True])  # noqa: E731
     run_daemon(Setting(config, "stand-in", None, looking, reports=False), assemble)
+
+
+SILENT = "charger-silent"
+"""While a file of this name is in the folder, the charger is not heard."""
+
+
+def _exchange(rig: Rig, folder: Path) -> None:
+    rig.charger.lost = (folder / SILENT).exists()
+    _keep(rig, folder / "world.json")
 
 
 def _keep(rig: Rig, path: Path) -> None:

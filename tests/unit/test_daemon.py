@@ -16,7 +16,7 @@ from controller.daemon.protocol import Request, ResultEvent, StateEvent
 from controller.daemon.server import BACKLOG_BYTES
 from controller.recording.reader import read_recording
 from drivers.base import PlugLock
-from tests.unit.daemon_rig import LIMIT_S, Nursery, Service
+from tests.unit.daemon_rig import LIMIT_S, SILENT, Nursery, Service
 
 Start = Callable[..., Service]
 
@@ -102,6 +102,27 @@ def test_an_abort_latches_and_only_a_reset_leads_out(daemon: Service) -> None:
     refused = daemon.job(Request.DOCK)
     assert (refused.outcome, refused.fault) == ("fault", "aborted")
     assert daemon.job(Request.RESET).outcome == "ready" and daemon.status()["healthy"]
+
+
+def test_a_charger_that_falls_silent_in_ready_latches_and_comes_back_only_by_a_reset(daemon: Service) -> None:
+    assert daemon.status()["state"] == "READY"
+    (daemon.folder / SILENT).touch()
+    _until(lambda: daemon.status()["state"] == "FAULT")
+    assert daemon.status()["fault"] == "charger-link-lost"
+    assert daemon.job(Request.RESET).fault == "charger-link-lost", "not while it is silent"
+    (daemon.folder / SILENT).unlink()
+    refused = daemon.job(Request.DOCK)
+    assert (refused.outcome, refused.fault) == ("fault", "charger-link-lost"), "it is heard again: nothing goes on"
+    assert daemon.job(Request.RESET).outcome == "ready"
+    assert not motions(daemon)
+    assert daemon.job(Request.DOCK).outcome == "charging"
+
+
+def _until(condition: Callable[[], bool]) -> None:
+    end_s = time.monotonic() + LIMIT_S
+    while not condition():
+        assert time.monotonic() < end_s
+        time.sleep(0.02)
 
 
 def test_every_subscriber_sees_the_same_events(daemon: Service) -> None:
