@@ -8,8 +8,11 @@ STAMP := $(VENV)/.installed
 dry-run: $(STAMP)  ## one docking cycle with mock hardware
 	$(BIN)/portdock dry-run
 
-test: $(STAMP)
-	$(BIN)/pytest tests -m "not long and not benchmark_ratio"
+SHORT := not long and not benchmark_ratio
+
+test: $(STAMP)  ## what only computes on all cores; then what keeps time, one after another
+	$(BIN)/pytest tests -m "$(SHORT) and not real_time" --numprocesses logical --dist worksteal
+	$(BIN)/pytest tests -m "$(SHORT) and real_time"
 
 check: $(STAMP)
 	$(BIN)/ruff check .

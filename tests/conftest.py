@@ -34,3 +34,4 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     for item in items:
         if item.path.relative_to(HERE).parts[0] in OVER_WIRES or item.path.name in IN_REAL_TIME:
             item.add_marker(pytest.mark.flaky(reruns=2))
+            item.add_marker(pytest.mark.real_time)
