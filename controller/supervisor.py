@@ -90,6 +90,8 @@ class Supervisor:
         self._backing_off = False
         self._beat_due_s = wall_clock.now_s()
         self._ticks = 0
+        self._begun_s = wall_clock.now_s()
+        """When the newest tick began."""
         self._wake = threading.Event()
         self._ended = threading.Event()
         self._changed = threading.Condition()
@@ -230,11 +232,10 @@ class Supervisor:
     # --- the tick
 
     def _run(self) -> None:
-        due_s = self._wall.now_s()
+        due_s = self._begun_s = self._wall.now_s()
         while not self._ended.is_set():
-            late_s = max(0.0, self._wall.now_s() - due_s)
             try:
-                self._tick(late_s)
+                self._tick()
             except Exception:
                 log.exception("the supervisor's tick failed")
                 self._latch(Fault(FaultCode.INTERNAL, "the supervisor's tick failed"))
@@ -242,8 +243,9 @@ class Supervisor:
             self._wake.wait(timeout=max(0.0, due_s - self._wall.now_s()))
             self._wake.clear()
 
-    def _tick(self, late_s: float) -> None:
-        seen = self._look(late_s)
+    def _tick(self) -> None:
+        before_s, self._begun_s = self._begun_s, self._wall.now_s()
+        seen = self._look(before_s + TICK_S)
         backing_off = self._backing_off
         fault = Fault(FaultCode.ABORTED, "by request") if self._request.abort else assess(seen, backing_off)
         if fault is not None:
@@ -259,7 +261,12 @@ class Supervisor:
             self._seen = seen
             self._changed.notify_all()
 
-    def _look(self, late_s: float) -> Snapshot:
+    def _look(self, due_s: float) -> Snapshot:
+        """What there is to see, and how long after ``due_s`` it was seen.
+
+        A process that does not run for a while may stop anywhere, inside a tick too: the time counts from the tick
+        before until the links have been asked, or their silence meanwhile would be taken for the fault.
+        """
         arm, arm_problem = _asked(self._sources.arm.state)
         charger, charger_problem = _asked(self._sources.charger.status)
         scanner = self._sources.scanner.health()
@@ -277,7 +284,7 @@ class Supervisor:
             scanner.up,
             scanner.detail,
             overdue,
-            late_s,
+            max(0.0, self._wall.now_s() - due_s),
             self._stall_s,
         )
 
