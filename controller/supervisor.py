@@ -284,9 +284,12 @@ class Supervisor:
             scanner.up,
             scanner.detail,
             overdue,
-            max(0.0, self._wall.now_s() - due_s),
+            self._late_s(due_s),
             self._stall_s,
         )
+
+    def _late_s(self, due_s: float) -> float:
+        return max(0.0, self._wall.now_s() - due_s)
 
     def _latch(self, fault: Fault) -> None:
         """Stop the arm at once; keep the first trip."""
