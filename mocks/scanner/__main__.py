@@ -40,6 +40,7 @@ from mocks.scanner import ld19, scip
 from mocks.scanner.controls import listen
 from mocks.scanner.emulated_clock import EmulatedClock
 from mocks.scanner.ld19 import Ld19Device
+from mocks.scanner.options import read_options, reading
 from mocks.scanner.paced_wire import PacedWire
 from mocks.scanner.profiler2 import Profiler2Device
 from mocks.scanner.pty_line import PtyLine
@@ -50,33 +51,30 @@ from mocks.scanner.sources import GrooveSource, RecordedSource, Source
 from mocks.scanner.streaming_device import StreamingDevice, StreamTiming
 from mocks.scanner.turning_views import RoomView, View, WorldView
 from mocks.scanner.wire_faults import FaultRates, WireFaults
+from perception.errors import InputError
 
 RATE_HZ = 70.0
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Run until SIGTERM, SIGINT or end of the parent's pipe. Returns the exit code."""
-    parser = _parser()
-    options = parser.parse_args(arguments)
+    """Run until SIGTERM, SIGINT or end of the parent's pipe. Returns the exit code: 2 with two lines for bad input."""
+    try:
+        return _run(read_options(arguments))
+    except InputError as error:
+        sys.stderr.write(f"mocks.scanner: {error.cause}\n  remedy: {error.remedy}\n")
+        return 2
+
+
+def _run(options: argparse.Namespace) -> int:
+    """Raises InputError."""
     sys.setswitchinterval(0.0005)  # the optics' thread must not hold up the line
-    if options.trigger_output is not None and options.source != "world":
-        parser.error("--trigger-output needs --source world")
-    if options.source == "world" and options.world is None:
-        parser.error("--source world needs --world DIR")
-    if options.preset == "ld19" and options.protocol != "framed":
-        parser.error("--preset belongs to --protocol framed")
-    if options.preset == "ld19" and options.source not in ("groove", "world"):
-        parser.error("--preset ld19 sees a room of its own or the world: it takes no recorded sweep")
-    if options.protocol == "scip" and options.source not in ("groove", "world"):
-        parser.error("--protocol scip sees a room of its own or the world: it takes no recorded sweep")
-    if options.coarse and (options.protocol, options.source) != ("scip", "world"):
-        parser.error("--coarse needs --protocol scip --source world")
     logging.basicConfig(level=logging.INFO, format="%(asctime)s %(name)s %(message)s")
     stopping = threading.Event()
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda *_: stopping.set())
     rng = np.random.default_rng(options.seed)
-    source, clock = _source(options, rng)
+    with reading(options.world, "a mock world's folder") if options.source == "world" else contextlib.nullcontext():
+        source, clock = _source(options, rng)
     own_folder = tempfile.TemporaryDirectory(prefix="portdock-scanner-") if options.link is None else None
     link = options.link or Path(own_folder.name if own_folder else "") / "scanner"
     line = PtyLine(link)
@@ -99,7 +97,8 @@ def main(arguments: list[str] | None = None) -> int:
     requests: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
     signal.signal(signal.SIGUSR1, lambda *_: requests.put(line.unplug))
     signal.signal(signal.SIGUSR2, lambda *_: requests.put(line.plug_in))
-    line.plug_in()
+    with reading(link, "a symlink to make, in a folder that can be written"):
+        line.plug_in()
     sys.stdout.write(json.dumps({"device": str(link), "protocol": options.protocol, "pid": os.getpid()}) + "\n")
     sys.stdout.flush()
     try:
@@ -121,7 +120,8 @@ def _device(
 ) -> Device:
     own_time = {"clock_offset_s": options.clock_offset_s, "ppm": options.drift_ppm}
     if options.recording is not None:
-        return RecordedDevice(read_conversation(options.recording), wire, clock)
+        with reading(options.recording, "a recording (.mcap) with a scanner's bytes"):
+            return RecordedDevice(read_conversation(options.recording), wire, clock)
     if options.protocol == "profiler2":
         return Profiler2Device(
             source, wire, clock, reference_m=options.reference_m, address_in_words=options.address_in_words
@@ -165,45 +165,8 @@ def _source(options: argparse.Namespace, rng: np.random.Generator) -> tuple[Sour
 
         world = WorldSource(options.world, rng, NARROW if options.protocol == "profiler2" else None)
         return world, world.clock
-    return RecordedSource(Path(options.source)), EmulatedClock.of_wall(options.time_scale)
-
-
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog="mocks.scanner", description="A mock laser scanner on a pty.")
-    add = parser.add_argument
-    add("--link", type=Path, help="symlink to make, the device name that clients open; default: one of its own")
-    add("--protocol", choices=("framed", "profiler2", "scip"), default="framed", help="framed: see --preset")
-    add("--preset", choices=("wide_xz", "ld19"), default="wide_xz", help="framed: which device")
-    add("--recording", type=Path, help="a recording (.mcap) whose scanner bytes are played back; overrides --protocol")
-    add("--source", default="groove", help="groove, world, or the path of a recorded sweep (.npz)")
-    add("--world", type=Path, help="folder of the mock world, for --source world")
-    add("--baud", type=int, help="the device's own baud rate; default: the client's")
-    add("--seed", type=int, default=0)
-    add("--time-scale", type=float, default=1.0, help="emulated seconds per second; with a world, its own is used")
-    add("--rate-hz", type=float, help="profiles per emulated second; default 70, less in a world above twice wall pace")
-    add("--exposure-s", type=float, default=500e-6)
-    add("--latency-s", type=float, default=0.0, help="from the end of exposure to the first bit")
-    add("--jitter-s", type=float, default=0.0, help="further delay of each frame, uniform up to this")
-    add("--clock-offset-s", type=float, default=100.0)
-    add("--drift-ppm", type=float, default=0.0)
-    add("--buffer-bytes", type=int, default=1 << 20, help="what gateway and client hold before bytes are lost")
-    add("--reference-m", type=float, default=0.10, help="profiler2: distance at which Y is 0")
-    add("--address-in-words", action="store_true", help="profiler2: addresses count words, not bytes")
-    add("--coarse", action="store_true", help="scip in a world: on the mount of the second, coarse scanner")
-    add("--noise-m", type=float, default=0.010, help="scip and ld19 in a world: 1 sigma of each range")
-    add(
-        "--systematic-m",
-        type=float,
-        default=0.010,
-        help="scip and ld19 in a world: 1 sigma of what one surface adds to all",
-    )
-    add("--trigger-output", type=int, help="with a world: expose on each rising edge of this output of the arm")
-    add("--lost", type=float, default=0.0, help="fault: probability that a byte is lost")
-    add("--doubled", type=float, default=0.0, help="fault: probability that a byte comes twice")
-    add("--flipped", type=float, default=0.0, help="fault: probability that a bit of a byte flips")
-    add("--stall-at-s", type=float, help="fault: silence from this emulated time on")
-    add("--stall-s", type=float, default=float("inf"), help="fault: how long the silence lasts")
-    return parser
+    with reading(Path(options.source), "a recorded sweep (.npz with profile_x_m and profile_z_m)"):
+        return RecordedSource(Path(options.source)), EmulatedClock.of_wall(options.time_scale)
 
 
 if __name__ == "__main__":

@@ -1,20 +1,23 @@
-"""The daemon over real wires: docked, killed with the plug locked in the port, started again, undocked."""
+"""The daemon over real wires: killed with the plug locked in the port; its scanner unplugged in the middle of a sweep."""
 
 from __future__ import annotations
 
 import json
+import os
 import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
 
+from controller.campaign.faulty_cell import FaultyCell
 from controller.cli.dry_run import FAST_FACTOR, for_mocks
 from controller.config import as_yaml, load_config
-from controller.mock_cell import MockCell
+from controller.daemon.client import DaemonClient
+from controller.daemon.protocol import Request
 from controller.port_files import load_port
 from controller.recording.reader import read_recording
 from controller.scenarios import draw_scenario
@@ -25,17 +28,23 @@ PORTDOCK = [sys.executable, "-m", "controller.cli.main"]
 
 
 @pytest.fixture
-def site(tmp_path: Path) -> Iterator[Path]:
-    """A site file whose devices are mocks that outlive the daemon."""
+def cell(tmp_path: Path) -> Iterator[FaultyCell]:
+    """Mock devices that outlive the daemon."""
     wide = for_mocks(load_config(), fast=True)
     service = {"socket": str(tmp_path / "s"), "state_folder": str(tmp_path / "state"), "http_port": 0}
     changes = {"service": service, "recording": {"folder": str(tmp_path / "runs")}}
     wide = wide.model_copy(update={k: getattr(wide, k).model_copy(update=v) for k, v in changes.items()})
     world = draw_scenario("nominal", wide, load_port(wide.port.model), 4)
-    with MockCell(tmp_path / "wires", wide, world, 4, FAST_FACTOR) as cell:
-        path = tmp_path / "site.yaml"
-        path.write_text(as_yaml(cell.config))
-        yield path
+    with FaultyCell(tmp_path / "wires", wide, world, 4, FAST_FACTOR) as cell:
+        yield cell
+
+
+@pytest.fixture
+def site(tmp_path: Path, cell: FaultyCell) -> Path:
+    """Their site file."""
+    path = tmp_path / "site.yaml"
+    path.write_text(as_yaml(cell.config))
+    return path
 
 
 def start(site: Path) -> subprocess.Popen[bytes]:
@@ -83,3 +92,45 @@ def test_a_daemon_killed_while_charging_comes_up_safe_and_undocks_when_asked(sit
     finally:
         second.send_signal(signal.SIGTERM)
         assert second.wait(60) == 0
+
+
+def profiles_of_a_sweep(client: DaemonClient) -> int:
+    """Good frames so far, while the daemon sweeps; else 0."""
+    status = client.ask(Request.STATUS).status or {}
+    return int(status["links"]["scanner"]["counters"]["frames"]) if status["state"] == "SCANNING" else 0
+
+
+def test_a_scanner_unplugged_in_the_middle_of_a_sweep_docks_after_a_reset_under_another_name(
+    site: Path, cell: FaultyCell
+) -> None:
+    daemon, name = start(site), site.parent / "wires" / "scanner"
+    try:
+        before, socket = os.readlink(name), site.parent / "s"
+        job = subprocess.Popen(
+            [*PORTDOCK, "dock", "--json", "--socket", str(socket)], stdout=subprocess.PIPE, text=True
+        )
+        with DaemonClient(socket) as client:
+            until(lambda: profiles_of_a_sweep(client) > 30, "the sweep is under way")
+        cell.unplug_scanner()
+        output, _ = job.communicate(timeout=120)
+        ended = json.loads(output)
+        assert (job.returncode, ended["fault"]) == (1, "scanner-link-lost"), ended
+        assert "cable" in ended["remedy"]
+        assert ask(site, "status")[1]["links"]["scanner"]["up"] is False
+        (left,) = (read_recording(path) for path in (site.parent / "runs").glob("*/mission.mcap"))
+        assert left.complete and left.scanner_chunks(), "what came until then is kept"
+        cell.repair()
+        until(lambda: name.exists() and os.readlink(name) != before, "the scanner is back under another name")
+        assert ask(site, "reset")[0] == 0
+        code, docked = ask(site, "dock")
+        assert (code, docked["outcome"]) == (0, "charging"), docked
+    finally:
+        daemon.send_signal(signal.SIGTERM)
+        daemon.wait(60)
+
+
+def until(condition: Callable[[], bool], what: str) -> None:
+    end_s = time.monotonic() + 200.0
+    while not condition():
+        assert time.monotonic() < end_s, what
+        time.sleep(0.02)
