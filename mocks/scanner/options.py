@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import struct
 import zipfile
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -35,7 +36,7 @@ def reading(path: Path, kind: str) -> Iterator[None]:
         yield
     except OSError as error:
         raise InputError(f"cannot use {path}: {error.strerror or error}", remedy=f"Give the path of {kind}.") from error
-    except (ValueError, KeyError, EOFError, McapError, zipfile.BadZipFile) as error:
+    except (ValueError, KeyError, EOFError, struct.error, McapError, zipfile.BadZipFile) as error:
         raise InputError(f"{path} is not {kind}", remedy=f"Give the path of {kind}.") from error
 
 

@@ -1,4 +1,4 @@
-"""The daemon over real wires: killed with the plug locked in the port; its scanner unplugged in the middle of a sweep."""
+"""The daemon over real wires: killed with the plug locked in the port; its scanner unplugged within a sweep."""
 
 from __future__ import annotations
 

@@ -42,10 +42,10 @@ def test_files_that_are_missing_or_something_else_are_told_apart(tmp_path: Path)
     (tmp_path / "garbage").write_text("garbage")
     np.savez(tmp_path / "other.npz", a=np.zeros(3))
     for read in (read_conversation, RecordedSource):
-        for name, cause in (("none", "No such file"), ("garbage", "garbage is not a file of that kind")):
+        for name, cause in (("none", "No such file"), ("garbage", "is not a file of that kind")):
             with pytest.raises(InputError, match=cause), reading(tmp_path / name, "a file of that kind"):
                 read(tmp_path / name)
-    with pytest.raises(InputError, match="other.npz is not a sweep"), reading(tmp_path / "other.npz", "a sweep"):
+    with pytest.raises(InputError, match=r"other\.npz is not a sweep"), reading(tmp_path / "other.npz", "a sweep"):
         RecordedSource(tmp_path / "other.npz")
 
 
