@@ -65,6 +65,16 @@ def _lines(
             yield from _lines(value, f"{key}.", known, about)
         else:
             yield f"{indent}{name}: {_flow(value)}  # {origin(key, known)}"
+            if about and value is None:
+                yield from _left_out(key, indent, about)
+
+
+def _left_out(section: str, indent: str, about: dict[str, ConfigKey]) -> Iterator[str]:
+    """The keys of a section that the site does not have, as comments."""
+    for key in about.values():
+        parent, _, name = key.name.rpartition(".")
+        if parent == section:
+            yield f"{indent}#   {name}: {_said(key)}"
 
 
 def _said(key: ConfigKey) -> str:
@@ -81,7 +91,8 @@ def _flow(value: Any) -> str:
 
 def _keys(part: dict[str, Any], sections: dict[str, Any], prefix: str) -> Iterator[ConfigKey]:
     for name, entry in part.get("properties", {}).items():
-        reference = entry.get("$ref") or next((one["$ref"] for one in entry.get("allOf", ()) if "$ref" in one), "")
+        parts = (entry, *entry.get("allOf", ()), *entry.get("anyOf", ()))  # anyOf: a section that may be left out
+        reference = next((one["$ref"] for one in parts if "$ref" in one), "")
         section = sections.get(reference.rpartition("/")[2])
         key = f"{prefix}{name}"
         doc = " ".join(entry.get("description", (section or {}).get("description", "")).split())

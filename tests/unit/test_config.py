@@ -117,3 +117,9 @@ def test_the_schema_holds_bounds_and_units_and_forbids_unknown_keys() -> None:
     assert speed["exclusiveMinimum"] == 0
     assert speed["description"].startswith("[mm/s]")
     assert not schema["$defs"]["ScanConfig"]["additionalProperties"]
+
+
+def test_a_section_that_the_site_does_not_have_is_explained_all_the_same() -> None:
+    shown = listing(load_config(), layers(None), with_docs=True)
+    assert "coarse: null" in shown
+    assert "#   lateral_mm: (mm; > 0, <= 250) How far sideways" in shown
