@@ -26,6 +26,10 @@ _REACH_M = 0.26
 """How far from the port's axis a cover is looked for."""
 _PANEL_M = (-0.004, 0.06)
 """The panel's height over the rim plane lies within this."""
+_INLET_M = 0.07
+"""No inlet reaches farther from its origin."""
+_PANEL_CELLS = 300
+"""Of the thinned scan, some 27 cm2: so much of the panel is seen, or what stands proud of it cannot be told."""
 _PROUD_M = 0.009
 _THICK_M = 0.0025
 """Points within this of a plane belong to it."""
@@ -74,6 +78,8 @@ def find_cover(cloud: Cloud, estimate: PortEstimate) -> OpenCover | None:
     if near.sum() < _MIN_POINTS:
         return None
     thin = np.asarray(small_gicp.voxelgrid_sampling(local[near], _VOXEL_M, 1).points())[:, :3]
+    if not _panel_is_seen(thin):
+        return None
     proud = _without_strays(thin[thin[:, 2] - _panel_height(thin) > _PROUD_M])
     rng = np.random.default_rng(0)  # the same scan gives the same answer
     for _ in range(4):
@@ -85,6 +91,13 @@ def find_cover(cloud: Cloud, estimate: PortEstimate) -> OpenCover | None:
             return found
         proud = proud[~on_plane]
     return None
+
+
+def _panel_is_seen(points: Array) -> bool:
+    """Whether the level is the panel's, seen beyond the inlet. A narrow scan ends within the pocket: its level is the
+    inlet's own face, and the pocket's wall would pass for a flap."""
+    beyond = np.hypot(points[:, 0], points[:, 1]) > _INLET_M
+    return int((beyond & (np.abs(points[:, 2] - _panel_level(points)) < 0.005)).sum()) >= _PANEL_CELLS
 
 
 def _panel_level(points: Array) -> float:

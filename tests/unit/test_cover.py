@@ -8,7 +8,7 @@ from perception.cover import find_cover
 from perception.estimate import PortEstimate
 from perception.geometry import Pose
 from perception.scan import Cloud
-from tests.unit.cover_scene import vehicle
+from tests.unit.cover_scene import sheet, vehicle
 
 
 def estimate(pose: Pose, *, accepted: bool = True, ref: str = "scanner") -> PortEstimate:
@@ -68,3 +68,15 @@ def test_a_simulated_scan_with_a_cover_on_the_left() -> None:
     found = find_cover(scan.cloud, estimate(scan.T_scanner_port))
     assert found is not None
     assert found.side == "left"
+
+
+def test_the_pockets_wall_is_no_flap_where_a_narrow_scan_shows_no_panel() -> None:
+    face = sheet((-0.04, 0.04), (-0.06, 0.06))
+    floor = sheet((-0.06, 0.058), (-0.11, 0.06))
+    wall = sheet((-0.06, 0.06), (-0.008, 0.035))
+    sheets = [
+        np.column_stack([face, np.full(len(face), -0.002)]),
+        np.column_stack([floor, np.full(len(floor), -0.008)]),
+        np.column_stack([np.full(len(wall), 0.058), wall]),
+    ]
+    assert find_cover(Cloud(np.vstack(sheets)), estimate(Pose.identity())) is None
