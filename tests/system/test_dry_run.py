@@ -73,6 +73,25 @@ def test_a_range_finder_looks_first_and_the_profiler_docks(tmp_path: Path) -> No
     assert any(report.link == "coarse" for report in recording.links())
 
 
+@pytest.mark.long
+def test_where_the_range_finder_sees_no_port_the_mission_is_refused_before_the_profiler_looks(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    ran = subprocess.run(
+        command(
+            "--fast", "--json", "--scanner", "scip_profiler", "--scenario", "no-port", "--out", str(tmp_path / "out")
+        ),
+        capture_output=True,
+        check=False,
+        text=True,
+        timeout=380,
+        cwd=tmp_path,
+    )
+    result = json.loads(ran.stdout)
+    assert (ran.returncode, result["outcome"], result["fault"]) == (1, "refused", "port-not-found"), ran.stderr
+    assert result["locate"] is None, "the profiler has not looked"
+    assert "APPROACHING" not in [name for name, _ in result["states"]]
+
+
 def test_a_nominal_cycle_charges_and_leaves_its_evidence(tmp_path: Path) -> None:
     run = dry_run(tmp_path, "nominal", seed=4)
     assert (run.code, run.result["outcome"], run.result["fault"]) == (0, "charged", None), run.stderr
