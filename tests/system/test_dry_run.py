@@ -77,9 +77,7 @@ def test_a_range_finder_looks_first_and_the_profiler_docks(tmp_path: Path) -> No
 def test_where_the_range_finder_sees_no_port_the_mission_is_refused_before_the_profiler_looks(tmp_path: Path) -> None:
     out = tmp_path / "out"
     ran = subprocess.run(
-        command(
-            "--fast", "--json", "--scanner", "scip_profiler", "--scenario", "no-port", "--out", str(tmp_path / "out")
-        ),
+        command("--fast", "--json", "--scanner", "scip_profiler", "--scenario", "no-port", "--out", str(out)),
         capture_output=True,
         check=False,
         text=True,
