@@ -25,7 +25,7 @@ from drivers.base import ArmState, ChargerRequest, MonotonicClock
 from drivers.charger.contract import Contract
 from drivers.charger.messages import decode_status
 from tests.arm_rig import MockController, settings, until
-from tests.benchmarks.test_arm_timing import BareSleeps, QuietScanner, perception_like_load
+from tests.benchmarks.test_arm_timing import HZ, BareSleeps, QuietScanner, perception_like_load
 from tests.contract.charger_bench import QUICK, Bench, MockProcess
 from tests.unit.test_interlocks import ARM
 
@@ -53,6 +53,16 @@ class QuietArm:
     def kick_watchdog(self) -> None: ...
 
 
+class NotingArm(UrArm):
+    """Notes when it is told to stop: what comes after is the arm's link and the mock's own turn."""
+
+    stops_s: list[float]
+
+    def stop(self, deceleration_m_s2: float = 1.0) -> None:
+        self.stops_s.append(time.monotonic())
+        super().stop(deceleration_m_s2)
+
+
 class Cell:
     """Supervisor, the charger's driver and its mock, and an arm."""
 
@@ -77,7 +87,7 @@ class Cell:
 
 @pytest.fixture
 def mock_arm() -> Iterator[MockController]:
-    made = MockController()
+    made = MockController("--rate", str(HZ))
     yield made
     made.close()
 
@@ -91,7 +101,10 @@ def cell(tmp_path: Path) -> Iterator[Cell]:
 
 @pytest.fixture
 def cell_with_arm(tmp_path: Path, mock_arm: MockController) -> Iterator[Cell]:
-    arm = UrArm(settings(mock_arm.host, watchdog_hz=WATCHDOG_HZ, patience=10.0, freshness_s=10.0))
+    arm = NotingArm(
+        settings(mock_arm.host, watchdog_hz=WATCHDOG_HZ, patience=10.0, freshness_s=10.0, frequency_hz=float(HZ))
+    )
+    arm.stops_s = []
     arm.open()
     made = Cell(tmp_path, arm)
     yield made
@@ -145,20 +158,28 @@ def _sent(cell: Cell, count: int) -> list[float]:
 def test_an_emergency_stop_on_can_reaches_the_arm_at_once(cell_with_arm: Cell, mock_arm: MockController) -> None:
     cell = cell_with_arm
     home = cell.arm.state().T_base_tcp
-    ends, latencies_s = [home.moved([0.0, 0.0, z_m]) for z_m in (-0.05, -0.15)], []
+    ends = [home.moved([0.0, 0.0, z_m]) for z_m in (-0.05, -0.15)]
+    latencies_s, of_which_s = [], []
     with perception_like_load(), BareSleeps() as sleeps:
         for _ in range(TRIALS):
             here = cell.arm.state().T_base_tcp
             cell.arm.move_linear(max(ends, key=here.distance_to), 0.02, 0.5)  # so far that it is under way when stopped
             until(lambda: cell.arm.state().moving, "the arm moves", 60.0)
             cell.link.log.frames.clear()
+            cell.arm.stops_s.clear()
             cell.charger.control(estop=True)
-            until(lambda: cell.supervisor.trip is not None, "the supervisor trips", 60.0)
+            until(lambda: cell.arm.stops_s, "the supervisor stops the arm", 60.0)
             received_s = _received_s(cell)
+            of_which_s.append(cell.arm.stops_s[0] - received_s)
             latencies_s.append(_stopped_s(mock_arm, received_s) - received_s)
             cell.charger.control(estop=False)
             _reset(cell)
             until(lambda: not cell.arm.state().moving, "the arm stands still", 60.0)
+    log.info(
+        "until the driver is told: median %.2f ms, p99 %.2f ms",
+        1e3 * statistics.median(of_which_s),
+        1e3 * p99(of_which_s),
+    )
     judge("emergency stop received to stop command", latencies_s, sleeps, STOP_ALLOWANCE_S)
 
 
@@ -179,7 +200,7 @@ def _stopped_s(mock_arm: MockController, since_s: float) -> float:
         found[:] = [at_s for at_s, number in commands if number == STOP_LINEAR and at_s > since_s]
         return bool(found)
 
-    until(seen, "the stop command arrives", 60.0)
+    until(seen, "the stop command arrives, or the arm was too slow and the dashboard ended its program", 10.0)
     return found[0]
 
 
