@@ -188,13 +188,15 @@ class ScipScanner:
 
     def _take_over(self) -> None:
         """From an unknown state: end an unfinished line, stop streaming, wait for silence."""
-        for _ in range(self._settings.attempts):
+        settings = self._settings
+        for _ in range(settings.attempts):
             self._link.write(b"\nQT\n")
-            end_s = self._clock.now_s() + self._settings.answer_s
-            while self._clock.now_s() < end_s and self._clock.now_s() - self._last_byte_s < QUIET_S:
+            written_s = self._clock.now_s()
+            quiet_since_s = written_s
+            while self._clock.now_s() - quiet_since_s < QUIET_S and self._clock.now_s() - written_s < settings.answer_s:
                 self._clock.sleep(0.01)
-            self._clock.sleep(QUIET_S)
-            if self._clock.now_s() - self._last_byte_s >= QUIET_S:
+                quiet_since_s = max(written_s, self._last_byte_s)
+            if self._clock.now_s() - quiet_since_s >= QUIET_S:
                 break
         with self._changed:
             self._reader.flush()

@@ -14,6 +14,7 @@ from controller.scanner_files import load_scanner
 from drivers.base import ByteSink, MonotonicClock, NullSink, Scanner
 from drivers.scanner.framed import FramedScanner, FramedTimeouts
 from drivers.scanner.profiler2 import Profiler2, Profiler2Settings
+from drivers.scanner.scip import ScipScanner, ScipSettings
 from drivers.scanner.serial_link import SerialSettings
 from perception.scan import Profile
 from tests.contract.scanner_bench import mock, take, until
@@ -28,6 +29,11 @@ def framed(link: Path, sink: ByteSink, name: str = "wide_xz") -> Scanner:
 def profiler2(link: Path, sink: ByteSink) -> Scanner:
     settings = Profiler2Settings(thinning=8, answer_s=5.0, silence_s=10.0)
     return Profiler2(SerialSettings(str(link), 921_600), settings, sink, MonotonicClock())
+
+
+def scip(link: Path, sink: ByteSink) -> Scanner:
+    settings = ScipSettings(answer_s=5.0, silence_s=10.0)
+    return ScipScanner(SerialSettings(str(link), 750_000), settings, sink, MonotonicClock())
 
 
 def swept(scanner: Scanner, count: int) -> list[Profile]:
@@ -74,6 +80,20 @@ def test_a_question_and_answer_device_answers_the_recorded_questions(tmp_path: P
         second = swept(profiler2(dev, NullSink()), 3)
         process.send_signal(signal.SIGTERM)
         process.wait(10)
+    for a, b in zip(first, second, strict=True):
+        assert a.device_time_s == b.device_time_s
+        np.testing.assert_array_equal(a.points, b.points)
+
+
+def test_a_range_finder_is_taken_over_and_streams_as_recorded(tmp_path: Path) -> None:
+    file, dev = tmp_path / "sweep.mcap", tmp_path / "dev"
+    recorder = Recorder(file, MonotonicClock())
+    with mock(dev, "--protocol", "scip"):
+        first = recorded(scip(dev, recorder), recorder, 4)
+    with mock(dev, "--recording", str(file)) as process:
+        second = swept(scip(dev, NullSink()), 4)
+        process.terminate()
+        assert process.wait(10) == 0
     for a, b in zip(first, second, strict=True):
         assert a.device_time_s == b.device_time_s
         np.testing.assert_array_equal(a.points, b.points)
