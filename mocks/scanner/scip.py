@@ -17,7 +17,7 @@ from mocks.scanner.turning_views import RoomView, Scan, View
 
 Ints = NDArray[np.int64]
 
-VERSION = ("VEND:portdock", "PROD:mock range finder", "FIRM:1.0.0", "PROT:SCIP 2.0", "SERI:H0000001")
+VERSION = ("VEND:portdock", "PROD:mock range finder", "FIRM:1.0.0(mock)", "PROT:SCIP 2.0", "SERI:H0000001")
 GEOMETRY = ("MODL:URG-04LX(mock)", "DMIN:20", "DMAX:5600", "ARES:1024", "AMIN:44", "AMAX:725", "AFRT:384", "SCAN:600")
 FIRST, LAST, FRONT, STEPS = 44, 725, 384, 1024
 SCAN_S = 0.1

@@ -151,3 +151,41 @@ def test_the_conversation_of_hokuyos_own_library(tmp_path: Path) -> None:
         assert len(ask(b"TM1")[2]) == 5
         assert ask(b"TM2")[1] == b"00P"
         assert ask(b"QT")[1] == b"00P"
+
+
+def test_what_hokuyos_samples_want_of_each_reply(tmp_path: Path) -> None:
+    """Number of lines, firmware up to its bracket, sums, endless scans with intensity that end when told, baud rate."""
+    with mock(tmp_path / "dev", *PROTOCOL), serial.Serial(str(tmp_path / "dev"), 115_200, timeout=10) as client:
+
+        def reply() -> list[bytes]:
+            lines = client.read_until(b"\n\n").split(b"\n")[:-2]
+            for line in lines[1:]:
+                content = line[:-1]
+                sums = {(sum(part) & 0x3F) + 0x30 for part in (content, content.removesuffix(b";"))}
+                assert line[-1] in sums, line
+            return lines
+
+        def ask(command: bytes) -> list[bytes]:
+            client.write(command + b"\n")
+            return reply()
+
+        assert [len(ask(command)) for command in (b"VV", b"PP", b"II")] == [7, 10, 9]
+        firmware = next(line for line in ask(b"VV") if line.startswith(b"FIRM:"))
+        assert firmware.removeprefix(b"FIRM:").partition(b"(")[1]
+        assert ask(b"TM0")[1] == b"00P"
+        assert ask(b"QT")[1] == b"00P", "it may be found adjusting its clock"
+        assert ask(b"SS115200")[1] == b"03S", "already so"
+        assert ask(b"ME0380038901000")[1] == b"00P"
+        stamps = []
+        for _ in range(3):
+            echo, status, stamp, data = reply()
+            assert (echo, status, len(stamp), len(data)) == (b"ME0380038901000", b"99b", 5, 10 * 6 + 1)
+            stamps.append(stamp[:4])
+        assert stamps == sorted(set(stamps))
+        client.write(b"QT\n")
+        last = reply()
+        while last[0] != b"QT":  # scans that were on their way
+            last = reply()
+        assert last == [b"QT", b"00P"]
+        client.timeout = 0.3
+        assert client.read(1) == b""

@@ -87,7 +87,7 @@ def by_hand(content: bytes) -> bytes:
 
 
 def test_version_parameters_and_state_are_lines_of_key_and_value() -> None:
-    keys = [b"VEND:portdock", b"PROD:mock range finder", b"FIRM:1.0.0", b"PROT:SCIP 2.0", b"SERI:H0000001"]
+    keys = [b"VEND:portdock", b"PROD:mock range finder", b"FIRM:1.0.0(mock)", b"PROT:SCIP 2.0", b"SERI:H0000001"]
     assert talk(b"VV\n") == b"VV\n00P\n" + b"".join(by_hand(key) for key in keys) + b"\n"
     (reply,) = ReplyReader().feed(talk(b"PP\n"))
     assert dict(parameters(reply)) == {
