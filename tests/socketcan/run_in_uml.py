@@ -6,6 +6,7 @@ setup-socketcan`), neither root nor KVM. Exit status is pytest's; 0 with a loud 
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import shutil
@@ -77,11 +78,15 @@ def _boot(kernel: str, modules: Path, scratch: Path, arguments: list[str]) -> in
         *("root=/dev/root", "rootfstype=hostfs", "rootflags=/", "rw", f"init={init}"),
         *("con=null", "con0=fd:0,fd:1", "quiet", f"umid=portdock{os.getpid()}", f"uml_dir={scratch}"),
     ]
-    try:
-        subprocess.run(command, stdin=subprocess.DEVNULL, timeout=TIMEOUT_S, check=False)
-    except subprocess.TimeoutExpired:
-        sys.stdout.write(f"the kernel did not finish within {TIMEOUT_S} s\n")
-        return 1
+    with subprocess.Popen(command, stdin=subprocess.DEVNULL, start_new_session=True) as linux:
+        try:
+            linux.wait(TIMEOUT_S)
+        except subprocess.TimeoutExpired:
+            sys.stdout.write(f"the kernel did not finish within {TIMEOUT_S} s\n")
+            return 1
+        finally:
+            with contextlib.suppress(ProcessLookupError):
+                os.killpg(linux.pid, signal.SIGKILL)  # its processes are processes here, and outlive it
     return int(status.read_text()) if status.exists() else 1
 
 
