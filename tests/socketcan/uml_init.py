@@ -23,6 +23,9 @@ MODULES = (
 )
 FINIT_MODULE = 313
 """System call number on x86-64."""
+RECEIVE_BYTES = 8 << 20
+"""Of each socket. A process that this kernel lets wait for ten seconds would lose frames in between, and frames with
+counters that jump look like those of two chargers."""
 LIBC = ctypes.CDLL(None, use_errno=True)
 
 
@@ -33,6 +36,7 @@ def main() -> None:
     try:
         _mount()
         _insert(Path(job["modules"]))
+        Path("/proc/sys/net/core/rmem_default").write_text(str(RECEIVE_BYTES))
         for command in ("link set lo up", "link add dev vcan0 type vcan", "link set vcan0 mtu 72", "link set vcan0 up"):
             subprocess.run(["ip", *command.split()], check=True)
         environment = {**os.environ, **job["environment"]}
