@@ -8,7 +8,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
+from controller.cli.main import app
 from controller.recording.reader import read_recording
 from drivers.base import LinkOpenError
 from perception.cloud_io import read_cloud
@@ -37,7 +39,8 @@ def test_a_sweep_is_recorded_and_converted_to_every_format(tmp_path: Path) -> No
     assert {"scanner", "arm"} <= {report.link for report in recording.links()}
     points = recording.scans()[0].cloud.points
     for source, target in (("sweep.mcap", "a.ply"), ("a.ply", "b.pcd"), ("sweep.mcap", "c.npz")):
-        portdock("convert", source, target, folder=tmp_path)
+        ran = CliRunner().invoke(app, ["convert", str(tmp_path / source), str(tmp_path / target)])
+        assert ran.exit_code == 0, ran.output
         np.testing.assert_allclose(read_cloud(tmp_path / target).points, points, atol=1e-6)
 
 
