@@ -1,20 +1,21 @@
 """The default locator: a scan and a port model in, a judged pose out, as a sequence of named steps.
 
 crop -> axis hypotheses -> exhaustive search -> alignment of the best candidates -> choice -> refinement -> covariance
--> evidence -> gate. Each step has its module.
+-> evidence -> gate; a refusal looks at what is there instead. Each step has its module.
 """
 
 from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from time import perf_counter
 
 import numpy as np
 from numpy.typing import NDArray
 
 from perception.align import align
+from perception.closed_panel import SKIN_REASONS, closed_panel
 from perception.covariance import covariance
 from perception.crop import Scene, crop
 from perception.errors import DegenerateCloudError, EmptyScanError
@@ -108,8 +109,19 @@ def _locate_one(cloud: Cloud, model: PortModel, prior: Prior, settings: LocateSe
         timer.lap("refine")
     except (EmptyScanError, DegenerateCloudError) as error:
         _log.info("not located: %s", error)
-        return PortEstimate.nothing_found(model.name, prior, cloud.frame, str(error), timer.done())
-    return _judged(cloud, model, prior, scene, ranked, refined, timer)
+        nothing = PortEstimate.nothing_found(model.name, prior, cloud.frame, str(error), timer.done())
+        return _with_what_is_there(nothing, cloud, prior)
+    return _with_what_is_there(_judged(cloud, model, prior, scene, ranked, refined, timer), cloud, prior)
+
+
+def _with_what_is_there(estimate: PortEstimate, cloud: Cloud, prior: Prior) -> PortEstimate:
+    """A refusal says more where the scan shows closed skin: a closed cover wants opening, plain skin another place."""
+    if estimate.accepted or estimate.verdict == "occupied":
+        return estimate
+    seen = closed_panel(cloud.points, prior)
+    if seen is None:
+        return estimate
+    return replace(estimate, verdict=seen, reasons=(SKIN_REASONS[seen], *estimate.reasons))
 
 
 def _align_and_rank(
