@@ -18,7 +18,10 @@ from perception.evaluation.trials import COMPLETE, INTEGRITIES, integrity_condit
 
 _PANELS = (
     ("one start", ("literal", "faithful", "robust-1", "b1")),
-    ("28 starts, or global", ("literal-28", "faithful-28", "robust", "b1-28", "b2", "o3d-ransac-icp", "o3d-fgr-icp")),
+    (
+        "28 starts, or global",
+        ("literal-28", "faithful-28", "robust", "b1-28", "b2", "o3d-ransac", "o3d-ransac-icp", "o3d-fgr-icp"),
+    ),
 )
 """Within a panel all methods have the same starts, or need none."""
 _COLOURS = {
@@ -27,6 +30,7 @@ _COLOURS = {
     "robust": "#009e73",
     "b1": "#d55e00",
     "b2": "#cc79a7",
+    "o3d-ransac": "#56b4e9",
     "o3d-ransac-icp": "#000000",
     "o3d-fgr-icp": "#e69f00",
 }
