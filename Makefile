@@ -10,9 +10,10 @@ dry-run: $(STAMP)  ## one docking cycle with mock hardware
 
 SHORT := not long and not benchmark_ratio
 
-test: $(STAMP)  ## what only computes on all cores; then what keeps time, one after another
+test: $(STAMP)  ## what only computes, on all cores; what keeps time, two at once; whole cells, one after another
 	$(BIN)/pytest tests -m "$(SHORT) and not real_time" --numprocesses logical --dist worksteal
-	$(BIN)/pytest tests -m "$(SHORT) and real_time"
+	$(BIN)/pytest tests -m "$(SHORT) and real_time and not whole_cell" --numprocesses 2 --dist loadfile
+	$(BIN)/pytest tests -m "$(SHORT) and whole_cell"
 
 check: $(STAMP)
 	$(BIN)/ruff check .

@@ -35,3 +35,5 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
         if item.path.relative_to(HERE).parts[0] in OVER_WIRES or item.path.name in IN_REAL_TIME:
             item.add_marker(pytest.mark.flaky(reruns=2))
             item.add_marker(pytest.mark.real_time)
+        if item.path.relative_to(HERE).parts[0] == "system" or item.path.name == "test_campaign_subset.py":
+            item.add_marker(pytest.mark.whole_cell)
