@@ -61,22 +61,25 @@ def closed_panel(points: Array, prior: Prior) -> Skin | None:
     local = local[near]
     if len(local) < _FEWEST:
         return None
-    height = _over_the_skin(local)
-    if height is None:
+    off_skin = _off_the_skin(local)
+    if off_skin is None:
         return None
-    on_skin = np.abs(height) < 1.0
+    on_skin = np.abs(off_skin) < 1.0
     middle = np.hypot(local[:, 0], local[:, 1]) < _INLET_M + prior.lateral_m
     closed = float(on_skin[middle].mean()) if middle.sum() >= _FEWEST else 0.0
     if closed < _CLOSED_SHARE:
         return None
-    ring = _ring_share(local[:, :2], height)
+    ring = _ring_share(local[:, :2], off_skin)
     if ring >= (_RING_SHARE if closed < _CLEAN_SHARE else _CLEAN_RING_SHARE):
         return "closed-cover"
     return "no-port" if ring < _NO_RING_SHARE else None
 
 
-def _over_the_skin(points: Array) -> Array | None:
-    """(N,) height of points over the smooth sheet that most of them lie on, by what noise does; None without one."""
+def _off_the_skin(points: Array) -> Array | None:
+    """How far points (N, 3) are off the smooth sheet that most of them lie on; None without such a sheet.
+
+    :returns: (N,), above 0 towards the scanner, as a multiple of the most that noise explains: the skin is within 1.
+    """
     x, y, z = (points / _REACH_M).T
     terms = np.column_stack([np.ones(len(x)), x, y, x * x, x * y, y * y])
     height = points[:, 2] - np.median(points[:, 2])
@@ -89,13 +92,13 @@ def _over_the_skin(points: Array) -> Array | None:
     return np.asarray(height / np.clip(_SPREADS * spread_m, *_SKIN_M))
 
 
-def _ring_share(places: Array, height: Array) -> float:
+def _ring_share(places: Array, off_skin: Array) -> float:
     """In what share of all directions a narrow gap of the skin runs around one place, at a steady distance.
 
     :param places: (N, 2) of all points in the plane that the skin roughly is.
-    :param height: (N,) of them over the skin; below 1 in size is noise.
+    :param off_skin: (N,) as ``_off_the_skin`` tells.
     """
-    gap, low = _gaps(places, height)
+    gap, low = _gaps(places, off_skin)
     labels, _ = ndimage.label(ndimage.binary_dilation(gap, np.ones((3, 3))), np.ones((3, 3)))
     long = [
         label
@@ -106,12 +109,12 @@ def _ring_share(places: Array, height: Array) -> float:
     return _around(cells) if len(cells) else 0.0
 
 
-def _gaps(places: Array, height: Array) -> tuple[Flags, Array]:
+def _gaps(places: Array, off_skin: Array) -> tuple[Flags, Array]:
     """Cells within the skin where it is missing or most points lie under it; and the corner of the first cell."""
     low = places.min(axis=0) - 4 * _CELL_M
     at = np.floor((places - low) / _CELL_M).astype(np.int64)
     size = tuple(at.max(axis=0) + 5)
-    on, under = (_counted(at[chosen], size) for chosen in (np.abs(height) < 1.0, height < -1.0))
+    on, under = (_counted(at[chosen], size) for chosen in (np.abs(off_skin) < 1.0, off_skin < -1.0))
     filled = ndimage.binary_closing(on > 0, np.ones((2, 2)))
     missing = ndimage.binary_closing(filled, _disc(_GROOVE_M / 2)) & ~filled
     return missing | (under > np.maximum(on, 0)), low

@@ -110,18 +110,19 @@ def _locate_one(cloud: Cloud, model: PortModel, prior: Prior, settings: LocateSe
     except (EmptyScanError, DegenerateCloudError) as error:
         _log.info("not located: %s", error)
         nothing = PortEstimate.nothing_found(model.name, prior, cloud.frame, str(error), timer.done())
-        return _with_what_is_there(nothing, cloud, prior)
-    return _with_what_is_there(_judged(cloud, model, prior, scene, ranked, refined, timer), cloud, prior)
+        return _with_what_is_there(nothing, cloud, prior, timer)
+    return _with_what_is_there(_judged(cloud, model, prior, scene, ranked, refined, timer), cloud, prior, timer)
 
 
-def _with_what_is_there(estimate: PortEstimate, cloud: Cloud, prior: Prior) -> PortEstimate:
+def _with_what_is_there(estimate: PortEstimate, cloud: Cloud, prior: Prior, timer: _Timer) -> PortEstimate:
     """A refusal says more where the scan shows closed skin: a closed cover wants opening, plain skin another place."""
     if estimate.accepted or estimate.verdict == "occupied":
         return estimate
     seen = closed_panel(cloud.points, prior)
-    if seen is None:
-        return estimate
-    return replace(estimate, verdict=seen, reasons=(SKIN_REASONS[seen], *estimate.reasons))
+    timer.lap("closed skin")
+    if seen is not None:
+        estimate = replace(estimate, verdict=seen, reasons=(SKIN_REASONS[seen], *estimate.reasons))
+    return replace(estimate, timings_s=timer.done())
 
 
 def _align_and_rank(

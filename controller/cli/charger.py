@@ -73,7 +73,7 @@ def _table(traffic: CanTraffic) -> Table:
     for row in traffic.health():
         period = "" if row.period_s is None else f"{1000.0 * row.period_s:.0f} of {1000.0 * row.cycle_s:.0f} ms"
         newest = ", ".join(f"{name} {value}" for name, value in row.values)
-        counts = (row.bad_checksums + row.unreadable, row.repeated, row.wrong_sequence, row.missed)
+        counts = (row.bad_checksum + row.unreadable, row.repeated, row.wrong_sequence, row.missed)
         note = f" ({row.suspicion})" if row.suspicion else ""
         table.add_row(row.name, row.state, str(row.frames), period, *(str(n) for n in counts), newest + note)
     return table

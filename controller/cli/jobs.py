@@ -64,7 +64,7 @@ def status(socket: Socket = None, as_json: Json = False) -> None:
         raise typer.Exit(EXIT_OTHERWISE)
 
 
-DAMAGE = ("bytes_dropped", "bad_checksum", "bad_checksums", "late", "lost")
+DAMAGE = ("bytes_dropped", "bad_checksum", "late", "lost")
 """Of a link's counters, those that a person wants to see once they are not 0; ``--json`` has all."""
 
 

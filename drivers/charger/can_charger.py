@@ -75,7 +75,7 @@ class CanCharger:
 
     def _no_answer(self) -> LinkOpenError:
         where = f"{self._settings.interface} channel {self._settings.channel}"
-        bad = self._incoming.counters()["bad_checksums"]
+        bad = self._incoming.counters()["bad_checksum"]
         if bad:
             return LinkOpenError(
                 f"{bad} frames of a charger arrived on {where}, but their checksums do not fit",

@@ -21,7 +21,7 @@ _COUNTER_NAMES = {
     Verdict.INITIAL: "initial",
     Verdict.REPEATED: "repeated",
     Verdict.WRONG_SEQUENCE: "wrong_sequence",
-    Verdict.BAD_CRC: "bad_checksums",
+    Verdict.BAD_CRC: "bad_checksum",
 }
 
 

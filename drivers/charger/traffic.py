@@ -28,7 +28,7 @@ class MessageHealth:
     identifier: int
     frames: int
     accepted: int
-    bad_checksums: int
+    bad_checksum: int
     repeated: int
     wrong_sequence: int
     missed: int
@@ -130,7 +130,7 @@ def _health(ear: _Ear, now_s: float) -> MessageHealth:
         identifier=ear.codec.arbitration_id,
         frames=ear.frames,
         accepted=counts[Verdict.OK] + counts[Verdict.LOST],
-        bad_checksums=counts[Verdict.BAD_CRC],
+        bad_checksum=counts[Verdict.BAD_CRC],
         repeated=counts[Verdict.REPEATED],
         wrong_sequence=counts[Verdict.WRONG_SEQUENCE],
         missed=ear.receiver.missed,

@@ -85,7 +85,7 @@ def test_a_whole_charging_session(bench: Bench) -> None:
     bench.must(R.RELEASE)
     assert charger.status().state is ChargerState.IDLE
     counters = dict(charger.health().counters)
-    assert counters["bad_checksums"] == counters["repeated"] == counters["losses"] == 0
+    assert counters["bad_checksum"] == counters["repeated"] == counters["losses"] == 0
 
 
 def test_requests_out_of_order_are_refused_with_a_reason(bench: Bench) -> None:

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-import signal
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+import pytest
 import serial
 
 from controller.recording.reader import read_recording
@@ -71,27 +72,17 @@ def test_a_streaming_scanners_bytes_come_again_as_they_were(tmp_path: Path) -> N
         np.testing.assert_array_equal(a.points, b.points)
 
 
-def test_a_question_and_answer_device_answers_the_recorded_questions(tmp_path: Path) -> None:
+@pytest.mark.parametrize(("protocol", "scanner"), [("profiler2", profiler2), ("scip", scip)])
+def test_a_device_that_is_asked_answers_the_recorded_questions(
+    tmp_path: Path, protocol: str, scanner: Callable[[Path, ByteSink], Scanner]
+) -> None:
+    """Taken over from an unknown state, read, and left, as recorded."""
     file, dev = tmp_path / "sweep.mcap", tmp_path / "dev"
     recorder = Recorder(file, MonotonicClock())
-    with mock(dev, "--protocol", "profiler2"):
-        first = recorded(profiler2(dev, recorder), recorder, 3)
+    with mock(dev, "--protocol", protocol):
+        first = recorded(scanner(dev, recorder), recorder, 4)
     with mock(dev, "--recording", str(file)) as process:
-        second = swept(profiler2(dev, NullSink()), 3)
-        process.send_signal(signal.SIGTERM)
-        process.wait(10)
-    for a, b in zip(first, second, strict=True):
-        assert a.device_time_s == b.device_time_s
-        np.testing.assert_array_equal(a.points, b.points)
-
-
-def test_a_range_finder_is_taken_over_and_streams_as_recorded(tmp_path: Path) -> None:
-    file, dev = tmp_path / "sweep.mcap", tmp_path / "dev"
-    recorder = Recorder(file, MonotonicClock())
-    with mock(dev, "--protocol", "scip"):
-        first = recorded(scip(dev, recorder), recorder, 4)
-    with mock(dev, "--recording", str(file)) as process:
-        second = swept(scip(dev, NullSink()), 4)
+        second = swept(scanner(dev, NullSink()), 4)
         process.terminate()
         assert process.wait(10) == 0
     for a, b in zip(first, second, strict=True):

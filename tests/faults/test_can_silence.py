@@ -52,7 +52,7 @@ def test_a_charger_that_sends_nothing_new_is_lost_and_comes_back(mock: MockProce
         bench.until(lambda: not _lost(bench))
         counters = dict(bench.charger.health().counters)
         assert counters["losses"] >= 1
-        suspect = {"frozen": "repeated", "stuck_counter": "repeated", "damaged": "bad_checksums"}.get(fault)
+        suspect = {"frozen": "repeated", "stuck_counter": "repeated", "damaged": "bad_checksum"}.get(fault)
         assert suspect is None or counters[suspect] > 0
     finally:
         bench.close()

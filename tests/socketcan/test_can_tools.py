@@ -83,7 +83,7 @@ def test_a_charger_played_by_cansend_is_understood() -> None:
         try:
             charger.open()
             assert charger.status().state is ChargerState.INIT
-            assert dict(charger.health().counters)["bad_checksums"] == 0
+            assert dict(charger.health().counters)["bad_checksum"] == 0
         finally:
             player.kill()
             charger.close()

@@ -51,7 +51,7 @@ def test_a_whole_session(bench: Bench) -> None:
     assert bench.charger.status().state is ChargerState.CHARGING
     bench.must(R.STOP_POWER, R.UNLOCK_PLUG)
     counters = dict(bench.charger.health().counters)
-    assert counters["bad_checksums"] == counters["losses"] == 0
+    assert counters["bad_checksum"] == counters["losses"] == 0
     assert "foreign_frames" not in counters, "the kernel filters"
 
 

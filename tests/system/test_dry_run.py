@@ -38,10 +38,10 @@ def command(*arguments: str) -> list[str]:
     return [sys.executable, "-m", "controller.cli.main", "dry-run", *arguments]
 
 
-def dry_run(folder: Path, scenario: str, seed: int = 0) -> Run:
+def dry_run(folder: Path, scenario: str, seed: int = 0, *options: str) -> Run:
     out = folder / "out"
     done = subprocess.run(
-        command("--fast", "--json", "--scenario", scenario, "--seed", str(seed), "--out", str(out)),
+        command("--fast", "--json", "--scenario", scenario, "--seed", str(seed), "--out", str(out), *options),
         capture_output=True,
         check=False,
         text=True,
@@ -54,40 +54,21 @@ def dry_run(folder: Path, scenario: str, seed: int = 0) -> Run:
 
 def test_a_range_finder_looks_first_and_the_profiler_docks(tmp_path: Path) -> None:
     """The car stands centimetres off: the coarse sweep finds it, from there on everything is as usual."""
-    out = tmp_path / "out"
-    ran = subprocess.run(
-        command("--fast", "--json", "--scanner", "scip_profiler", "--seed", "1", "--out", str(out)),
-        capture_output=True,
-        check=False,
-        text=True,
-        timeout=380,
-        cwd=tmp_path,
-    )
-    result = json.loads(ran.stdout)
-    assert (ran.returncode, result["outcome"]) == (0, "charged"), ran.stderr
-    states = [name for name, _ in result["states"]]
-    assert states[: states.index("APPROACHING")].count("SCANNING") >= 2
-    assert result["locate"]["error_mm"] < 1.0
-    recording = read_recording(out / "mission.mcap")
+    run = dry_run(tmp_path, "nominal", 1, "--scanner", "scip_profiler")
+    assert (run.code, run.result["outcome"]) == (0, "charged"), run.stderr
+    assert run.states[: run.states.index("APPROACHING")].count("SCANNING") >= 2
+    assert run.result["locate"]["error_mm"] < 1.0
+    recording = read_recording(run.folder / "mission.mcap")
     assert len(recording.topics["/coarse/rx"]) > 50
     assert any(report.link == "coarse" for report in recording.links())
 
 
 @pytest.mark.long
 def test_where_the_range_finder_sees_no_port_the_mission_is_refused_before_the_profiler_looks(tmp_path: Path) -> None:
-    out = tmp_path / "out"
-    ran = subprocess.run(
-        command("--fast", "--json", "--scanner", "scip_profiler", "--scenario", "no-port", "--out", str(out)),
-        capture_output=True,
-        check=False,
-        text=True,
-        timeout=380,
-        cwd=tmp_path,
-    )
-    result = json.loads(ran.stdout)
-    assert (ran.returncode, result["outcome"], result["fault"]) == (1, "refused", "port-not-found"), ran.stderr
-    assert result["locate"] is None, "the profiler has not looked"
-    assert "APPROACHING" not in [name for name, _ in result["states"]]
+    run = dry_run(tmp_path, "no-port", 0, "--scanner", "scip_profiler")
+    assert (run.code, run.result["outcome"], run.result["fault"]) == (1, "refused", "port-not-found"), run.stderr
+    assert run.result["locate"] is None, "the profiler has not looked"
+    assert "APPROACHING" not in run.states
 
 
 def test_a_nominal_cycle_charges_and_leaves_its_evidence(tmp_path: Path) -> None:

@@ -163,7 +163,7 @@ def test_a_damaged_frame_is_never_accepted(cases: int) -> None:
         whole = STATUS.encode(1, State=rng.integers(12), Prox=rng.integers(5), AckSeq=rng.integers(256))
         assert not incoming.take(STATUS.arbitration_id, _damaged(whole, rng), hearing.clock.time_s)
     counters = incoming.counters()
-    assert counters["bad_checksums"] + counters["bad_frames"] == cases
+    assert counters["bad_checksum"] + counters["bad_frames"] == cases
     assert incoming.status is None
 
 

@@ -61,7 +61,7 @@ def test_the_health_of_a_message_is_read_from_a_recording(tmp_path: Path, name: 
         pass
     status = next(row for row in traffic.health() if row.name == "CH_Status")
     assert (status.frames, status.accepted) == (20, 17)
-    assert (status.bad_checksums, status.repeated, status.wrong_sequence) == (1, 1, 0)
+    assert (status.bad_checksum, status.repeated, status.wrong_sequence) == (1, 1, 0)
     assert status.missed == 2, "the damaged one and the missing one"
     assert status.period_s == pytest.approx(0.05, abs=1e-3)
     assert dict(status.values)["State"] == "Charging"

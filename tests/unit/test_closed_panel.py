@@ -57,9 +57,9 @@ def test_noise_alone_makes_no_groove(noise_m: float) -> None:
     assert closed_panel(skin(noise_m), PRIOR) == "no-port"
 
 
-def test_a_recess_is_neither(noise_m: float = 1e-4) -> None:
-    assert closed_panel(opened(skin(noise_m)), PRIOR) is None
-    assert closed_panel(grooved(opened(skin(noise_m)), 0.09), PRIOR) is None
+def test_a_recess_is_neither() -> None:
+    assert closed_panel(opened(skin()), PRIOR) is None
+    assert closed_panel(grooved(opened(skin()), 0.09), PRIOR) is None
 
 
 def test_a_line_along_one_side_is_a_gap_of_the_body_and_no_cover() -> None:
@@ -79,5 +79,6 @@ def test_the_locator_says_so_in_verdict_and_reasons(kind: str, said: str) -> Non
     assert not estimate.accepted
     assert estimate.verdict == {"plain": "no-port"}.get(kind, kind)
     assert said in estimate.reasons[0]
+    assert sum(s for step, s in estimate.timings_s if step != "total") == pytest.approx(estimate.elapsed_s, rel=0.05)
     nothing = locate(Cloud(scan.cloud.points[:20]), port_model("type2"), scan.prior)
     assert nothing.verdict == "no-port" and said not in nothing.reasons[0]

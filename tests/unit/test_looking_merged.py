@@ -84,7 +84,8 @@ def test_where_both_are_refused_the_reasons_of_the_merged_scans_stand(monkeypatc
 def test_the_last_rung_asks_about_the_fresh_scan_alone(monkeypatch: pytest.MonkeyPatch) -> None:
     asked = Asked(lambda sizes: True)
     one = looks(monkeypatch, asked, 3, 5, 7)
-    sweep_and_locate(one), sweep_and_locate(one)
+    for _ in range(2):
+        sweep_and_locate(one)
     one.forget_scans()
     sweep_and_locate(one)
     assert asked.questions[-1] == [7]

@@ -14,8 +14,8 @@ from perception.evaluation.metrics import (
     entry_errors,
     recognised,
 )
-from perception.evaluation.records import RoundRecord, TrialRecord, append, read
-from perception.evaluation.tables import condition_table, table_1
+from perception.evaluation.records import MergeRecord, RoundRecord, TrialRecord, append, read
+from perception.evaluation.tables import condition_table, merge_table, table_1
 from perception.evaluation.trials import COMPLETE
 from perception.geometry import Pose
 
@@ -143,3 +143,16 @@ def test_all_figures_are_drawn_as_png_and_svg_with_every_method_named(tmp_path):
         if path.suffix == ".svg":
             for label in ("literal", "faithful", "robust", "baseline 1", "baseline 2", "RANSAC", "FGR", "28 starts"):
                 assert label in path.read_text()
+
+
+def test_the_merge_table_tells_each_views_error_and_then_that_of_all():
+    worst = {1: 0.2, 2: 0.8}
+    records = [MergeRecord(n, 0, "joint", 0.0, 0.0) for n in range(3)]  # the reference says nothing
+    records += [MergeRecord(n, view, "joint", 0.1, mm) for n in range(3) for view, mm in worst.items()]
+    rows = [dict(zip(merge_table(records).header, row, strict=True)) for row in merge_table(records).rows]
+    assert [(row["view"], row["trials"], row["centre worst (mm)"]) for row in rows] == [
+        ("2", "3", "0.2"),
+        ("3", "3", "0.8"),
+        ("all", "3", "0.8"),
+    ]
+    assert [row["centre median (mm)"] for row in rows[:2]] == ["0.2", "0.8"]
