@@ -46,6 +46,26 @@ def bridge(port: serial.Serial) -> Iterator[tuple[str, int]]:
     thread.join(5.0)
 
 
+class OneReplyAtATime:
+    """hokuyolx takes all that one ``recv`` gives for one reply, and drops what came along with it on a busy machine."""
+
+    def __init__(self, connection: socket.socket) -> None:
+        self._connection = connection
+        self._rest = b""
+
+    def recv(self, size: int) -> bytes:
+        while b"\n\n" not in self._rest:
+            chunk = self._connection.recv(size)
+            if not chunk:
+                raise ConnectionError("the bridge is closed")
+            self._rest += chunk
+        reply, end, self._rest = self._rest.partition(b"\n\n")
+        return reply + end
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._connection, name)
+
+
 @pytest.fixture
 def laser(tmp_path: Path) -> Iterator[Any]:
     with (
@@ -54,6 +74,7 @@ def laser(tmp_path: Path) -> Iterator[Any]:
         bridge(port) as address,
     ):
         client = hokuyolx.HokuyoLX(addr=address, time_tolerance=60_000, timeout=20)  # TM0..2, PP, BM on the way
+        client._sock = OneReplyAtATime(client._sock)
         yield client
         client.close()
 
