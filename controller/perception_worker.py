@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import multiprocessing
-import os
 from collections.abc import Sequence
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
@@ -13,6 +12,7 @@ from typing import ClassVar
 import numpy as np
 
 from controller.port_models import port_model
+from drivers.processor_time import give_way
 from perception.errors import PortdockError
 from perception.estimate import PortEstimate, Prior
 from perception.geometry import Array
@@ -20,8 +20,6 @@ from perception.locate import locate
 from perception.port_model import PortModel
 from perception.rough import RoughPlace, find_roughly
 from perception.scan import Cloud, merge
-
-NICE = 5
 
 
 class PerceptionError(PortdockError):
@@ -92,7 +90,7 @@ class _Kept:
 
 
 def _prepare(name: str) -> PreparedModel:
-    os.nice(NICE)
+    give_way()
     _Kept.model = port_model(name)
     return PreparedModel(_Kept.model.checksum, _Kept.model.surface.points.astype(np.float64))
 

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import multiprocessing
-import os
 from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
 from typing import ParamSpec, TypeVar
 
 from controller.cell import Cell
+from drivers.processor_time import give_way
 
-NICE = 5
 P = ParamSpec("P")
 R = TypeVar("R")
 
@@ -20,7 +19,7 @@ class Thinker:
 
     def __init__(self) -> None:
         context = multiprocessing.get_context("spawn")
-        self._pool = ProcessPoolExecutor(1, mp_context=context, initializer=os.nice, initargs=(NICE,))
+        self._pool = ProcessPoolExecutor(1, mp_context=context, initializer=give_way)
 
     def ask(self, cell: Cell, function: Callable[P, R], *args: P.args, **kwargs: P.kwargs) -> R:
         """The function's result, or what it raises. Faults of the cell end the wait."""

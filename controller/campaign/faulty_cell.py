@@ -88,7 +88,7 @@ class FaultyCell(MockCell):
                 subprocess.Popen(
                     [sys.executable, "-m", "mocks", name, *arguments, *control],
                     stdin=subprocess.PIPE,
-                    start_new_session=True,
+                    process_group=0,
                     stdout=subprocess.PIPE,
                     stderr=file,
                     text=True,

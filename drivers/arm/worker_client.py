@@ -66,7 +66,9 @@ class WorkerClient:
                 stdin=subprocess.DEVNULL,
                 stdout=self._stderr,
                 stderr=self._stderr,
-                start_new_session=True,  # a Ctrl-C at the terminal is the parent's to handle
+                # A Ctrl-C at the terminal is the parent's to handle. Not a new session: Linux may give that a share of
+                # the processors of its own, and ur_rtde spins while it waits: it would use up the others' time.
+                process_group=0,
             )
         self._connection = Connection(ours.detach())
         self._monitor = threading.Thread(target=self._watch, name="arm-worker-monitor", daemon=True)

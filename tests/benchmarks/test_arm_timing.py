@@ -23,7 +23,6 @@ from contextlib import contextmanager
 import numpy as np
 import pytest
 
-from controller.perception_worker import NICE
 from controller.states import State
 from controller.supervisor import Sources, Supervisor
 from drivers.arm.ur import UrArm
@@ -38,6 +37,7 @@ from drivers.base import (
     PlugLock,
     Proximity,
 )
+from drivers.processor_time import take_short_turns
 from tests.arm_rig import MockController, settings, until
 
 pytestmark = pytest.mark.benchmark_ratio
@@ -56,10 +56,10 @@ PATIENT = {"watchdog_hz": 0.5, "patience": 5.0, "freshness_s": 10.0}
 HZ = 500
 
 _LOAD = """
-import os, sys
-os.nice(int(sys.argv[1]))
 import numpy as np
+from drivers.processor_time import give_way
 from scipy.spatial import cKDTree
+give_way()
 rng = np.random.default_rng(1)
 while True:
     points = rng.normal(size=(20000, 3))
@@ -79,7 +79,7 @@ while True:
 @contextmanager
 def perception_like_load() -> Iterator[None]:
     single = os.environ | {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
-    command = [sys.executable, "-c", _LOAD, str(NICE)]
+    command = [sys.executable, "-c", _LOAD]
     workers = [subprocess.Popen(command, env=single) for _ in range(os.cpu_count() or 1)]
     try:
         yield
@@ -144,6 +144,7 @@ class Bench:
     """Mock controller, driver and supervisor at the full rate."""
 
     def __init__(self) -> None:
+        take_short_turns()  # as whoever assembles a cell does
         self.mock = MockController("--rate", str(HZ))
         self.arm = TimedArm(settings(self.mock.host, frequency_hz=float(HZ), **PATIENT))
         self.arm.ticks = []
