@@ -13,13 +13,12 @@ from typing import Any
 
 from drivers.arm import messages as m
 from drivers.arm.operation import Motion
+from drivers.arm.script_pace import ScriptPace
 from drivers.arm.worker_link import GO_AWAY_S, LINK_LOST, Link
 
 POLL_S = 0.002
 SETTLE_S = 1.0
 """Longest wait for an earlier stop to finish before a new command is taken up."""
-HOLD_CYCLES = 2.5
-"""After so many cycles of the link the script has read what was streamed."""
 QUICK_STOP_S = 0.03
 """A blocking stop must be shorter than the watchdog's period, as nothing is kicked meanwhile."""
 BRANCH_RAD = 0.2
@@ -45,11 +44,10 @@ class ControlLoop:
         self._link = link
         self._control = control
         self._watchdog_hz = watchdog_hz
-        self._cycle_s = HOLD_CYCLES / frequency_hz
+        self._pace = ScriptPace(frequency_hz)
         self._armed = False
         self._velocity: m.MoveVelocity | None = None
         self._compliance: m.Comply | None = None
-        self._begun_s = -1.0
         self._begun: m.MoveVelocity | m.Comply | None = None
         self._turn = 0
         self._speed_end_s: float | None = None
@@ -60,8 +58,9 @@ class ControlLoop:
     def run(self) -> None:
         """Serve until the parent says quit or is gone."""
         while True:
+            self._pace.wait_until_ready()
             self._link.fill(POLL_S)
-            if self._link.take_kick():
+            if not self._link.stop_waits() and self._link.take_kick():
                 self._call("kick", self._kick)
             request = self._link.take_request()
             if request is not None:
@@ -76,6 +75,8 @@ class ControlLoop:
     def _answer(self, request: m.Request) -> m.Reply:
         try:
             joints = self._call(type(request.command).__name__, lambda: self._execute(request.command))
+            if not isinstance(request.command, m.MoveVelocity | m.Comply):
+                self._pace.answered()
         except RefusedError as error:
             return m.Reply(request.number, error.refusal, str(error))
         except (ValueError, RuntimeError, TypeError) as error:  # what ur_rtde raises for arguments it does not like
@@ -115,6 +116,8 @@ class ControlLoop:
         off = max(abs(a - b) for a, b in zip(joints, command.near, strict=True))
         if off > BRANCH_RAD:
             raise RefusedError("no-solution", f"the controller's joints differ from the planned ones by {off:.2f} rad")
+        self._pace.answered()
+        self._pace.wait_until_ready()
         self._pass_kick_on(0.0)  # the answer may have taken a good part of the watchdog's period
         before = self._operation_id()
         self._must(self._control.moveJ(list(joints), command.speed, command.acceleration, True))
@@ -135,10 +138,11 @@ class ControlLoop:
         """Enter a mode, or change it. One that has just begun must be read before another command is written."""
         self._arm()
         if new:
-            self._wait_until_read()
+            self._pace.wait_until_read()
         self._must(self._stream(command))
         if new:
-            self._begun, self._begun_s = command, time.monotonic()
+            self._begun = command
+            self._pace.streamed()
 
     def _stream(self, command: m.MoveVelocity | m.Comply) -> bool:
         """Send a command that the script takes from the registers without an answer."""
@@ -160,7 +164,7 @@ class ControlLoop:
             return
         active = [command for command in (self._velocity, self._compliance) if command is not None]
         self._turn += 1
-        if self._begun is not None and self._begun in active and not self._read():
+        if self._begun is not None and self._begun in active and not self._pace.has_read:
             self._stream(self._begun)
         elif active:
             self._stream(active[self._turn % len(active)])
@@ -207,21 +211,16 @@ class ControlLoop:
             self._speed_end_s = time.monotonic() + command.tcp_speed / command.deceleration + QUICK_STOP_S
 
     def _end_speed_mode(self) -> None:
-        self._wait_until_read()
+        self._pace.wait_until_read()
         self._velocity, self._speed_end_s = None, None
         self._control.speedStop(self._speed_deceleration)
+        self._pace.answered()
 
     def _end_force_mode(self) -> None:
-        self._wait_until_read()
+        self._pace.wait_until_read()
         self._compliance = None
         self._control.forceModeStop()
-
-    def _read(self) -> bool:
-        return time.monotonic() >= self._begun_s + self._cycle_s
-
-    def _wait_until_read(self) -> None:
-        """Let the script begin a streamed mode before it is told to end it, or it kills what is not there."""
-        time.sleep(max(0.0, self._begun_s + self._cycle_s - time.monotonic()))
+        self._pace.answered()
 
     def _forget_modes(self) -> None:
         self._velocity, self._speed_end_s, self._compliance = None, None, None

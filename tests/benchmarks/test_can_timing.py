@@ -174,10 +174,10 @@ def test_an_emergency_stop_on_can_reaches_the_arm_at_once(cell_with_arm: Cell, m
             until(lambda: cell.arm.stops_s, "the supervisor stops the arm", 60.0)
             received_s = _received_s(cell)
             of_which_s.append(cell.arm.stops_s[0] - received_s)
-            latencies_s.append(_stopped_s(mock_arm, received_s) - received_s)
+            until(lambda: not cell.arm.state().moving, "the arm stands still", 60.0)
+            latencies_s.append(_stopped_s(mock_arm, received_s) - received_s)  # asked late: answering takes its time
             cell.charger.control(estop=False)
             _reset(cell)
-            until(lambda: not cell.arm.state().moving, "the arm stands still", 60.0)
     log.info(
         "until the driver is told: median %.2f ms, p99 %.2f ms",
         1e3 * statistics.median(of_which_s),

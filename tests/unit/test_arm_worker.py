@@ -187,7 +187,7 @@ def test_a_kick_within_a_mode_repeats_its_command_instead_of_wiping_it_out(worke
 
 
 def test_a_mode_that_has_just_begun_is_repeated_before_the_other_is_written_again(worker) -> None:
-    worker.loop._cycle_s = 0.3
+    worker.loop._pace._read_s = 0.3
     worker.ask(m.MoveVelocity((0.1, 0, 0, 0, 0, 0), 0.5))
     written = time.monotonic()
     worker.ask(m.Comply(POSE, (0, 0, 1, 0, 0, 0), (0, 0, 20, 0, 0, 0), (0.05,) * 6))
