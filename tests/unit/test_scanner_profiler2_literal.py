@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Callable
 
 import numpy as np
@@ -47,11 +46,12 @@ class Line:
         self.asked.append(data)
         answer = self.script.pop(0) if self.script else b""
         if answer:
-            threading.Thread(target=self.heard, args=(answer, 7_000_000_000)).start()
+            self.heard(answer, 7_000_000_000)
 
 
 def asking(script: list[bytes], tolerant: bool = False, attempts: int = 3) -> tuple[QuestionLine, Line]:
-    questions = QuestionLine(SerialSettings("dev", 921_600), NullSink(), Clock(), 2.0, attempts, tolerant)
+    """A question line that waits five looks at its clock for an answer, and the line below it."""
+    questions = QuestionLine(SerialSettings("dev", 921_600), NullSink(), Clock(), 0.05, attempts, tolerant)
     line = Line(script, questions._on_bytes)
     questions._link = line  # type: ignore[assignment]
     return questions, line
