@@ -10,7 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from controller.calibrations.record import Calibration
+from controller.calibrations.record import Calibration, basis
+from perception.geometry import Array
 
 LOCATOR_MM = 0.05
 """Of one good scan, as `portdock evaluate locate` finds it."""
@@ -22,6 +23,8 @@ HAND_EYE_MM = 0.7
 """Of a scanner that was mounted by measure and not calibrated by sweeps; assumed."""
 TOOL_MM = 0.2
 """Of a tool frame from its drawing; assumed."""
+OWN_SIGMA = "own_sigma_mm"
+"""Residual of a tool found by mating: its 1 sigma without the hand-eye calibration's part."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,16 +41,37 @@ def parts(calibrations: Mapping[str, Calibration], standoff_mm: float) -> tuple[
     """The links in their order. ``calibrations`` by slot."""
     hand_eye, tool = calibrations.get("hand-eye"), calibrations.get("tool")
     taught = next((one for slot, one in calibrations.items() if slot.startswith("port-")), None)
-    scanner_mm = HAND_EYE_MM if hand_eye is None else at_lever_mm(hand_eye, standoff_mm)
-    tool_mm = TOOL_MM if tool is None else tool.sigma_mm
     teaching_mm = 0.0 if taught is None else taught.sigma_mm
     return (
         Part("locator", LOCATOR_MM, LOCATOR_MM, "evaluate locate"),
-        Part("hand-eye", scanner_mm, 0.0, "assumed" if hand_eye is None else "its covariance"),
+        _hand_eye_part(hand_eye, tool, standoff_mm),
         Part("arm", ARM_MM, ARM_NEAR_MM, "assumed"),
-        Part("tool", tool_mm, 0.0, "assumed" if tool is None else "its covariance"),
+        _tool_part(tool),
         Part("teaching", 0.0, teaching_mm, "not taught" if taught is None else "its spread"),
     )
+
+
+def _hand_eye_part(hand_eye: Calibration | None, tool: Calibration | None, standoff_mm: float) -> Part:
+    """A tool that was found by mating has the mounting's error in it, with the other sign."""
+    if tool is not None and tool.made_with == basis(hand_eye, None):
+        return Part("hand-eye", 0.0, 0.0, "in the tool that was found with it")
+    if hand_eye is None:
+        return Part("hand-eye", HAND_EYE_MM, 0.0, "assumed")
+    return Part("hand-eye", at_lever_mm(hand_eye, standoff_mm), 0.0, "its covariance")
+
+
+def _tool_part(tool: Calibration | None) -> Part:
+    if tool is None:
+        return Part("tool", TOOL_MM, 0.0, "assumed")
+    if tool.made_with is None:
+        return Part("tool", tool.sigma_mm, 0.0, "its covariance")
+    return Part("tool", dict(tool.residuals)[OWN_SIGMA], 0.0, "its spread and the plug's play")
+
+
+def assumed_hand_eye_covariance(standoff_mm: float) -> Array:
+    """(6, 6) of a mounting that was not calibrated: half of ``HAND_EYE_MM`` squared from place, half from rotation."""
+    axis_m = 1e-3 * HAND_EYE_MM / np.sqrt(6.0)
+    return np.diag([axis_m] * 3 + [axis_m / (1e-3 * standoff_mm)] * 3) ** 2
 
 
 def at_lever_mm(hand_eye: Calibration, standoff_mm: float) -> float:

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 
-from controller.calibrations.record import Calibration, CalibrationFileError, DeviceNames, basis
+from controller.calibrations.record import Calibration, CalibrationFileError, DeviceNames, Kind, basis
 from controller.calibrations.store import CalibrationStore
 from controller.config import SiteConfig
 from controller.config_section import PoseConfig
@@ -66,7 +66,10 @@ def examine_calibrations(
             max_age_days = config.calibration.max_age_days
             problem = unfit(calibration, devices or device_names(config), now, max_age_days)
             found.append(Examined(slot, calibration, problem))
-    return tuple(_of_its_basis(one, found) for one in found)
+    judged: list[Examined] = []
+    for one in found:  # in the order of ``slots_of``: each rests on those before it
+        judged.append(_of_its_basis(one, judged))
+    return tuple(judged)
 
 
 def basis_in_force(found: Iterable[Examined]) -> str:
@@ -75,15 +78,16 @@ def basis_in_force(found: Iterable[Examined]) -> str:
     return basis(usable.get("hand-eye"), usable.get("tool"))
 
 
-def _of_its_basis(one: Examined, found: Iterable[Examined]) -> Examined:
-    """A port that was taught with other calibrations than those in force is to be taught again."""
-    if one.calibration is None or one.calibration.kind != "port" or one.problem is not None:
+def _of_its_basis(one: Examined, before: Sequence[Examined]) -> Examined:
+    """A tool or a port that was measured with other calibrations than those in force is to be measured again."""
+    if one.calibration is None or one.calibration.made_with is None or one.problem is not None:
         return one
-    now = basis_in_force(found)
+    now = basis_in_force(before)
     if one.calibration.made_with == now:
         return one
-    cause = f"the {one.slot} calibration was taught with {one.calibration.made_with}; in force is {now}"
-    return Examined(one.slot, one.calibration, CalibrationFileError(cause, remedy="`portdock teach` the port again."))
+    remedy = "`portdock teach` the port again." if one.calibration.kind == "port" else "`portdock calibrate tcp` again."
+    cause = f"the {one.slot} calibration was made with {one.calibration.made_with}; in force is {now}"
+    return Examined(one.slot, one.calibration, CalibrationFileError(cause, remedy=remedy))
 
 
 def unfit(
@@ -128,13 +132,18 @@ def with_calibrations(config: SiteConfig, calibrations: Iterable[Calibration]) -
     return config
 
 
-def calibrated(config: SiteConfig) -> SiteConfig:
-    """The site as its calibrations have it. Raises what speaks against the first that cannot be used."""
-    found = examine_calibrations(config)
-    for one in found:
-        if one.problem is not None:
+def calibrated(config: SiteConfig, remade: tuple[Kind, ...] = ()) -> SiteConfig:
+    """The site as its calibrations have it. Raises what speaks against the first that cannot be used.
+
+    :param remade: kinds that are about to be made anew: what cannot be used of them is left aside
+    """
+    used = []
+    for one in examine_calibrations(config):
+        if one.problem is None and one.calibration is not None:
+            used.append(one.calibration)
+        elif one.problem is not None and not one.slot.startswith(remade):
             raise one.problem  # the site file's own values may be as far off as a tape measure
-    return with_calibrations(config, [one.calibration for one in found if one.calibration is not None])
+    return with_calibrations(config, used)
 
 
 def calibrated_as_far_as_fits(config: SiteConfig, devices: DeviceNames) -> tuple[SiteConfig, tuple[Examined, ...]]:

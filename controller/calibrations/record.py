@@ -56,8 +56,8 @@ class Calibration:
     latency_ms: float | None = None
     """Only of kind ``hand-eye``: ``scanner.latency_ms`` that goes with it."""
     made_with: str | None = None
-    """Only of kind ``port``: which hand-eye and tool calibrations were in force (``basis``). What is taught cancels
-    their errors, and no others."""
+    """Of kind ``port`` and of a tool that was found by mating: which hand-eye and tool calibrations were in force
+    (``basis``). What is measured so cancels their errors, and no others."""
     versions: tuple[tuple[str, str], ...] = ()
 
     @property

@@ -8,15 +8,17 @@ from __future__ import annotations
 
 import logging
 from contextlib import ExitStack
+from dataclasses import dataclass
 from pathlib import Path
 
-from controller.assembly import assemble
+from controller.assembly import Assembly, assemble
 from controller.cell import Cell
 from controller.config import SiteConfig
 from controller.faults import Outcome
 from controller.insertion import Insertion
 from controller.looking import plan_view
 from controller.mission import Mission
+from controller.planning import DockPlan
 from controller.scan_session import sweep_over
 from controller.sweep import SweepError
 from controller.sweeping import ProgressReport
@@ -56,6 +58,16 @@ class _Note:
     def ended(self, outcome: Outcome, job: Progress) -> None: ...
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Mated:
+    """A dock that ended with the plug locked in, and out again."""
+
+    T_base_tcp: Pose
+    """At rest, while the charger said locked."""
+    plan: DockPlan
+    """That led there: where the mission located the port."""
+
+
 def teach_port(
     config: SiteConfig, folder: Path, report: ProgressReport, *, pace: float = 1.0, heartbeat_mode: int = 3
 ) -> Taught:
@@ -63,16 +75,22 @@ def teach_port(
 
     :param folder: for what must survive the process while the plug is in
     """
-    brief = config.model_copy(update={"mission": config.mission.model_copy(update={"charge_s": 0.0})})
     with ExitStack() as closing:
-        live = assemble(brief, Unrecorded(), closing, pace=pace, heartbeat_mode=heartbeat_mode)
-        mission = Mission(live.cell, brief, live.T_port_tcp_mated, _Note(report), folder)
-        outcome = mission.run(Goal.CYCLE)
-        mated = mission.now.T_base_tcp_mated
-        if outcome.kind != "charged" or mated is None:
-            why = "" if outcome.fault is None else f": {outcome.fault}"
-            raise TeachError(f"the plug was not mated ({outcome.kind}{why})", remedy=_remedy(outcome))
-        return teach([_located(live.cell, brief, number, report) for number in VIEWS], mated)
+        live = assemble(config, Unrecorded(), closing, pace=pace, heartbeat_mode=heartbeat_mode)
+        mated = mate(live, config, folder, report)
+        return teach([located(live.cell, config, number, report) for number in VIEWS], mated.T_base_tcp)
+
+
+def mate(live: Assembly, config: SiteConfig, folder: Path, report: ProgressReport) -> Mated:
+    """Dock by force, and undock at once. Raises TeachError if the plug was not mated."""
+    brief = config.model_copy(update={"mission": config.mission.model_copy(update={"charge_s": 0.0})})
+    mission = Mission(live.cell, brief, live.T_port_tcp_mated, _Note(report), folder)
+    outcome = mission.run(Goal.CYCLE)
+    T_base_tcp, plan = mission.now.T_base_tcp_mated, mission.now.plan
+    if outcome.kind != "charged" or T_base_tcp is None or plan is None:
+        why = "" if outcome.fault is None else f": {outcome.fault}"
+        raise TeachError(f"the plug was not mated ({outcome.kind}{why})", remedy=_remedy(outcome))
+    return Mated(T_base_tcp, plan)
 
 
 def _remedy(outcome: Outcome) -> str:
@@ -80,7 +98,7 @@ def _remedy(outcome: Outcome) -> str:
     return first + "A plug that misses its port needs `portdock calibrate hand-eye` first."
 
 
-def _located(cell: Cell, config: SiteConfig, number: int, report: ProgressReport) -> Pose:
+def located(cell: Cell, config: SiteConfig, number: int, report: ProgressReport) -> Pose:
     """T_base_port from one scan alone: of a few tries the first that is accepted. Raises TeachError without any."""
     reasons = ""
     for _ in range(TRIES):

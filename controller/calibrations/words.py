@@ -23,7 +23,7 @@ def described(one: Calibration, path: Path, now: datetime) -> Iterator[str]:
     if one.latency_ms is not None:
         yield f"  latency_ms: {one.latency_ms:.2f}"
     if one.made_with is not None:
-        yield f"  taught with: {one.made_with}"
+        yield f"  made with: {one.made_with}"
     for name, value in one.residuals:
         yield f"  {name}: {value:.4g}"
 

@@ -8,12 +8,13 @@ from typing import Annotated
 
 import typer
 
-from controller.cli import calibrate_drift, calibrate_hand_eye, calibration_files
+from controller.cli import calibrate_drift, calibrate_hand_eye, calibrate_tcp, calibration_files
 from controller.cli.scan import ConfigOption, MockOption, ScannerOption, SeedOption, cell_for, show_quarters
 from controller.config import load_config
 
 app = typer.Typer(help="Measure what is constant about a site.", no_args_is_help=True)
 app.command("hand-eye")(calibrate_hand_eye.hand_eye)
+app.command()(calibrate_tcp.tcp)
 app.command()(calibrate_drift.drift)
 app.command()(calibration_files.show)
 app.command()(calibration_files.budget)

@@ -11,6 +11,7 @@ from typing import Annotated
 import typer
 
 from controller.calibrations.in_force import calibrated
+from controller.calibrations.record import Kind
 from controller.cli.dry_run import FAST_FACTOR, for_mocks, on_mock_cell
 from controller.config import SiteConfig, load_config
 from controller.port_files import load_port
@@ -52,13 +53,15 @@ def cell_for(
     fast: bool,
     scanner_options: tuple[str, ...] = (),
     number: int | None = None,
+    remade: tuple[Kind, ...] = (),
 ) -> tuple[SiteConfig, float]:
     """The site to open with its calibrations, and its pace; or mock devices that live until ``closing`` ends.
 
-    ``number``: which mock cell, if not the seed's own.
+    ``number``: which mock cell, if not the seed's own. ``remade``: calibrations that need not be in order, since they
+    are about to be made anew.
     """
     if not mock:
-        return calibrated(site), 1.0
+        return calibrated(site, remade), 1.0
     from controller.mock_cell import MockCell  # the world takes a second to import
 
     pace = FAST_FACTOR if fast else 1.0

@@ -41,7 +41,7 @@ def teach(
     number = seed if mock_cell is None else mock_cell
     with ExitStack() as closing:
         folder = Path(closing.enter_context(tempfile.TemporaryDirectory(prefix="portdock-teach-")))
-        cell, pace = cell_for(closing, site, mock, seed, scenario, fast, number=number)
+        cell, pace = cell_for(closing, site, mock, seed, scenario, fast, number=number, remade=("port",))
         taught = teach_port(cell, folder, show_quarters, pace=pace, heartbeat_mode=1 if mock else 3)
     devices = mock_names(number) if mock else device_names(site)
     one = Calibration(

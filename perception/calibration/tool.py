@@ -1,4 +1,4 @@
-"""The plug's frame at the flange: from touching one fixed point in several poses, or from a plug that is mated."""
+"""Where a point of the plug is at the flange: from touching one fixed point with it in several poses."""
 
 from __future__ import annotations
 
@@ -56,8 +56,3 @@ def tool_point(T_base_flange: Sequence[Pose]) -> ToolPoint:
     noise = float(np.sum(off**2) / max(1, off.size - 6))
     covariance = noise * np.linalg.inv(rows.T @ rows)[:3, :3]
     return ToolPoint(solution[:3], solution[3:], covariance, distances)
-
-
-def tool_from_mated(T_base_flange_mated: Pose, T_base_port: Pose, T_port_tcp: Pose) -> Pose:
-    """``T_flange_tcp`` from a mated plug: the port's place and how the plug sits in it are known."""
-    return T_base_flange_mated.inverse() @ T_base_port @ T_port_tcp

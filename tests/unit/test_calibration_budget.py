@@ -2,13 +2,21 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from datetime import UTC, datetime
 
 import numpy as np
 import pytest
 
-from controller.calibrations.budget import at_lever_mm, budget_table, parts
-from controller.calibrations.record import Calibration, DeviceNames, Kind
+from controller.calibrations.budget import (
+    HAND_EYE_MM,
+    OWN_SIGMA,
+    assumed_hand_eye_covariance,
+    at_lever_mm,
+    budget_table,
+    parts,
+)
+from controller.calibrations.record import Calibration, DeviceNames, Kind, basis
 from perception.geometry import Pose
 
 
@@ -36,3 +44,20 @@ def test_what_is_measured_replaces_what_is_assumed_and_teaching_cancels_it() -> 
 def test_the_table_ends_with_the_root_of_the_sum_of_squares() -> None:
     *_, last = budget_table({"hand-eye": calibration("hand-eye", 0.4, 0.0)}, 290.0)
     assert f"| all | {np.sqrt(0.05**2 + 0.4**2 + 0.5**2 + 0.2**2):.2f} |" in last
+
+
+def test_a_tool_found_by_mating_has_its_hand_eyes_error_in_it_and_not_that_of_another() -> None:
+    mounting = calibration("hand-eye", 0.4, 0.1)
+    mated = replace(calibration("tool", 0.6, 0.1), made_with=basis(mounting, None), residuals=((OWN_SIGMA, 0.15),))
+    together = {part.name: part.untaught_mm for part in parts({"hand-eye": mounting, "tool": mated}, 290.0)}
+    assert (together["hand-eye"], together["tool"]) == (0.0, 0.15)
+    touched = {part.name: part for part in parts({"hand-eye": mounting, "tool": calibration("tool", 0.1, 0.1)}, 290.0)}
+    assert touched["hand-eye"].untaught_mm > 0.4
+    assert touched["tool"].untaught_mm == pytest.approx(0.1)
+
+
+def test_the_assumed_mounting_is_as_uncertain_at_the_port_as_the_budget_assumes() -> None:
+    devices = DeviceNames("a", "s")
+    covariance = assumed_hand_eye_covariance(290.0)
+    assumed = Calibration("hand-eye", Pose.identity(), covariance, devices, datetime(2026, 1, 1, tzinfo=UTC))
+    assert at_lever_mm(assumed, 290.0) == pytest.approx(HAND_EYE_MM)

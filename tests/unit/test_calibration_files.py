@@ -128,7 +128,26 @@ def test_a_port_taught_with_another_hand_eye_is_to_be_taught_again(tmp_path: Pat
     assert [found.problem for found in examine_calibrations(config)] == [None, None]
     store.add(hand_eye(config, 9.0, datetime.now(UTC)))
     (_, port) = examine_calibrations(config)
-    assert "taught with hand-eye" in port.problem.cause
+    assert "made with hand-eye" in port.problem.cause
+
+
+def test_a_tool_found_by_mating_goes_with_its_hand_eye_and_a_touched_one_with_any(tmp_path: Path) -> None:
+    config, store = site(tmp_path), CalibrationStore(tmp_path)
+    one = hand_eye(config, measured=datetime.now(UTC))
+    store.add(one)
+    touched = replace(one, kind="tool", latency_ms=None)
+    mated = replace(touched, made_with=basis(from_yaml(to_yaml(one), ""), None))
+    store.add(hand_eye(config, 9.0, datetime.now(UTC)))
+    store.add(touched)
+    assert [found.problem for found in examine_calibrations(config)] == [None, None]
+    store.add(mated)
+    (_, tool) = examine_calibrations(config)
+    assert "portdock calibrate tcp" in tool.problem.remedy
+    with pytest.raises(CalibrationFileError, match="the tool calibration was made with"):
+        calibrated(config)
+    left_aside = calibrated(config, remade=("tool",))
+    assert left_aside.arm == config.arm
+    assert left_aside.scanner.latency_ms == 3.5
 
 
 def test_the_doctor_tells_of_missing_ageing_and_refused_calibrations(tmp_path: Path) -> None:

@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from perception.calibration.errors import CalibrationError
 from perception.calibration.teaching import teach
-from perception.calibration.tool import tool_from_mated, tool_point
+from perception.calibration.tool import tool_point
 from perception.geometry import Pose, exp
 
 T_BASE_PORT = Pose.from_rotvec([1.2, -1.2, -1.2], [0.95, 0.1, 0.45])
@@ -75,9 +75,3 @@ def test_a_touch_of_another_point_is_named() -> None:
 def test_too_few_touches_are_refused() -> None:
     with pytest.raises(CalibrationError, match="3 touches"):
         tool_point(touches(3, np.random.default_rng(0)))
-
-
-def test_a_mated_plug_gives_the_tool() -> None:
-    tool = Pose.from_rotvec([0.1, 0.2, 0.3], TOOL)
-    flange = T_BASE_PORT @ T_PORT_TCP @ tool.inverse()
-    assert tool_from_mated(flange, T_BASE_PORT, T_PORT_TCP).distance_to(tool) < 1e-12
