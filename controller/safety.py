@@ -180,9 +180,9 @@ def _check_zero_force(now: Situation) -> Refusal | None:
         return Refusal("zero-force", f"not in {now.state.name}")
     if now.charger is None or now.charger.proximity is not Proximity.ABSENT:
         return Refusal("zero-force", "only with no plug inserted")
-    if now.arm is None or np.linalg.norm(now.arm.tcp_speed[:3]) > STILL_M_S:
+    if now.arm is None or not np.linalg.norm(now.arm.tcp_speed[:3]) <= STILL_M_S:
         return Refusal("zero-force", "only with the arm at rest")
-    if now.T_base_port is not None and _depth_m(now.arm.T_base_tcp, now.T_base_port) > CONTACT_DEPTH_M:
+    if now.T_base_port is not None and not _depth_m(now.arm.T_base_tcp, now.T_base_port) <= CONTACT_DEPTH_M:
         return Refusal("zero-force", "only out of contact")
     return None
 
@@ -204,13 +204,9 @@ def _check_back_off(command: BackOff, now: Situation, limits: Limits) -> Refusal
         return Refusal("speed", f"{command.speed_m_s * 1000:.1f} mm/s")
     depth_m = _depth_m(now.arm.T_base_tcp, now.T_base_port)
     target_depth_m = _depth_m(command.T_base_tcp, now.T_base_port)
-    if depth_m > CONTACT_DEPTH_M or not target_depth_m < depth_m:
+    if not target_depth_m < depth_m <= CONTACT_DEPTH_M:
         return Refusal("axis", "only from before the rim, and only outwards")
-    lateral_m = _lateral_travel_m(
-        MoveLinear(command.T_base_tcp, command.speed_m_s, command.acceleration_m_s2),
-        now.arm.T_base_tcp,
-        now.T_base_port,
-    )
+    lateral_m = _sideways_m(now.arm.T_base_tcp, command.T_base_tcp, now.T_base_port)
     if not lateral_m <= limits.capture_radius_m:
         return Refusal("axis", f"{lateral_m * 1000:.1f} mm sideways")
     return _check_target(command.T_base_tcp, limits)
@@ -295,12 +291,14 @@ def _depth_m(T_base_tcp: Pose, T_base_port: Pose) -> float:
 
 
 def _plug_inserted(now: Situation) -> bool:
-    """True unless both geometry and the proximity contact say that the plug is out."""
+    """True unless the proximity contact says that the plug is out and, from contact on, the arm's pose says so too."""
     if now.charger is None or now.charger.proximity is not Proximity.ABSENT:
         return True
-    if now.state not in IN_CONTACT or now.T_base_port is None or now.arm is None:
+    if now.state not in IN_CONTACT:
         return False
-    return _depth_m(now.arm.T_base_tcp, now.T_base_port) > CONTACT_DEPTH_M
+    if now.T_base_port is None or now.arm is None:
+        return True
+    return not _depth_m(now.arm.T_base_tcp, now.T_base_port) <= CONTACT_DEPTH_M
 
 
 def _check_inserted(command: Motion, now: Situation, limits: Limits) -> Refusal | None:
@@ -317,23 +315,24 @@ def _check_inserted(command: Motion, now: Situation, limits: Limits) -> Refusal 
     if now.T_base_port is None:
         return Refusal("inserted", "the axis on which the plug was inserted is not known")
     lateral = _lateral_travel_m(command, now.arm.T_base_tcp, now.T_base_port)
-    if lateral > limits.capture_radius_m:
+    if not lateral <= limits.capture_radius_m:
         return Refusal("inserted", f"{lateral * 1000:.1f} mm sideways while the plug is in the port")
     return None
 
 
-def _lateral_travel_m(command: Motion, T_base_tcp: Pose, T_base_port: Pose) -> float:
-    """How far sideways of the port's axis a motion leads; a velocity counts for one second."""
-    to_port = T_base_port.inverse()
+def _lateral_travel_m(command: MoveLinear | MoveVelocity | Comply, T_base_tcp: Pose, T_base_port: Pose) -> float:
+    """How far sideways of the port's axis a motion leads; a velocity counts for one second, a force for 0.1 m."""
     match command:
         case MoveLinear(T_base_tcp=target):
-            return float(
-                np.linalg.norm((to_port.apply(target.translation) - to_port.apply(T_base_tcp.translation))[:2])
-            )
+            return _sideways_m(T_base_tcp, target, T_base_port)
         case MoveVelocity(velocity=velocity):
-            return float(np.linalg.norm(to_port.rotate(velocity[:3])[:2]))
+            return float(np.linalg.norm(T_base_port.inverse().rotate(velocity[:3])[:2]))
         case Comply(compliance=compliance):
-            axis = to_port.rotate(compliance.T_base_task.rotation[:, 2])
+            axis = T_base_port.inverse().rotate(compliance.T_base_task.rotation[:, 2])
             return float(np.hypot(axis[0], axis[1])) * 0.1
-        case _:
-            return float("inf")
+
+
+def _sideways_m(start: Pose, end: Pose, T_base_port: Pose) -> float:
+    """How far sideways of the port's axis one pose of the TCP is from another."""
+    to_port = T_base_port.inverse()
+    return float(np.linalg.norm((to_port.apply(end.translation) - to_port.apply(start.translation))[:2]))

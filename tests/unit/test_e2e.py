@@ -10,7 +10,17 @@ from cantools.autosar.end_to_end import compute_profile5_crc
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers.charger.e2e import FrameProtection, Receiver, Scheme, Verdict, classify, crc8, crc16, next_counter
+from drivers.charger.e2e import (
+    FrameProtection,
+    Receiver,
+    Scheme,
+    Verdict,
+    _table,
+    classify,
+    crc8,
+    crc16,
+    next_counter,
+)
 
 PAYLOAD = bytes.fromhex("00 73 77 3F DE F7 2D 33")
 P11 = FrameProtection(Scheme.P11, 0xFF12)
@@ -38,6 +48,14 @@ def test_raw_checksums_have_their_catalogue_check_values() -> None:
     assert crc8(b"123456789", start=0xFF, final_xor=0xFF) == 0x4B
     assert crc8(b"123456789", start=0x00, final_xor=0x00) == 0x37
     assert crc16(b"123456789") == 0x29B1
+
+
+def test_each_table_holds_the_checksum_of_every_single_byte() -> None:
+    """Bit by bit, by an independent implementation; the first entries as they are published."""
+    assert list(_table(0x1D, 8)) == [Crc8StartZero.calc(bytes((byte,))) for byte in range(256)]
+    assert list(_table(0x1021, 16)) == [crccheck.crc.Crc16Xmodem.calc(bytes((byte,))) for byte in range(256)]
+    assert _table(0x1D, 8)[:4] == (0x00, 0x1D, 0x3A, 0x27)
+    assert _table(0x1021, 16)[:4] == (0x0000, 0x1021, 0x2042, 0x3063)
 
 
 @given(st.binary(max_size=64))
@@ -176,3 +194,72 @@ def test_with_a_counter_alone_damage_passes_but_repeats_do_not() -> None:
     assert receiver.check(b"\xff" * 8, 1) is Verdict.INITIAL
     assert receiver.check(b"\xee" * 8, 2) is Verdict.OK
     assert receiver.check(b"\xdd" * 8, 2) is Verdict.REPEATED
+
+
+COUNTED = FrameProtection(Scheme.COUNTER, 0)
+
+
+def counted(*counters: int) -> Receiver:
+    """A receiver that has seen frames with these counters, without a checksum."""
+    receiver = Receiver(COUNTED)
+    for counter in counters:
+        receiver.check(PAYLOAD, counter)
+    return receiver
+
+
+def test_every_verdict_is_counted() -> None:
+    receiver = counted(0, 1, 2, 2, 2, 2, 6, 5, 15)
+    assert receiver.counts == {
+        Verdict.INITIAL: 1, Verdict.OK: 2, Verdict.REPEATED: 3, Verdict.LOST: 1, Verdict.WRONG_SEQUENCE: 2,
+        Verdict.BAD_CRC: 0,
+    }  # fmt: skip
+
+
+def test_only_frames_that_never_came_are_missed() -> None:
+    assert counted(3, 4, 4, 4).missed == 0
+    assert counted(3, 5, 4).missed == 1
+    assert counted(13, 1).missed == 2
+
+
+def test_the_invalid_counter_is_not_remembered() -> None:
+    receiver = counted(13, 14, 15)
+    assert receiver.check(PAYLOAD, 0) is Verdict.OK
+
+
+def stepping(steps: list[int]) -> Receiver:
+    """A receiver that has seen a counter go on by these steps."""
+    return counted(*(counter % 15 for counter in itertools.accumulate(steps, initial=0)))
+
+
+def test_a_sender_that_repeats_its_last_frame_five_times_is_named() -> None:
+    assert counted(0, 1, 1, 1, 1, 1).suspicion == ""
+    repeating = counted(0, 1, 1, 1, 1, 1, 1)
+    assert repeating.suspicion == "it repeats its last frame"
+    assert not repeating.two_senders
+
+
+def test_five_bad_checksums_in_a_row_are_named() -> None:
+    receiver = Receiver(P11)
+    for frames, suspicion in ((4, ""), (5, "its checksums do not fit")):
+        while len(receiver.recent) < frames:
+            receiver.check(bytes(8), 1)
+        assert receiver.suspicion == suspicion
+    assert not receiver.two_senders
+
+
+def test_two_senders_under_one_identifier_are_told_by_their_counters() -> None:
+    two = [counter for k in range(8) for counter in (k, k + 7)]
+    assert counted(*two).two_senders
+    assert not counted(*two[:15]).two_senders, "sixteen frames are looked at"
+
+
+@pytest.mark.parametrize("step", [0, 4, 14])
+def test_six_of_sixteen_frames_astray_are_two_senders_and_five_are_noise(step: int) -> None:
+    """A repeated frame, lost frames and a step back are astray, and only the last sixteen frames count."""
+    assert not stepping([step, 1] * 5 + [1] * 6).two_senders
+    assert stepping([step, 1] * 6 + [1] * 4).two_senders
+    assert not stepping([step, 1] * 6 + [1] * 5 + [1]).two_senders
+
+
+def test_one_sender_that_loses_single_frames_is_not_suspected() -> None:
+    assert stepping([1, 2] * 20).suspicion == ""
