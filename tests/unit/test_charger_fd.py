@@ -95,11 +95,24 @@ def test_any_pose_comes_back_within_half_a_bit(xyz: tuple[float, ...], seed: int
     assert values["QW"] >= 0
 
 
-def test_a_withdrawn_pose_has_no_coordinates() -> None:
-    (frame,) = messages.encode_no_pose(CONTRACT, 3, 9)
-    assert frame[4:16] == bytes.fromhex("00000080") * 3
-    assert frame[16:24] == bytes.fromhex("0080") * 4
-    assert frame[3] & 0b11 == 0
+def test_a_withdrawn_pose_has_no_coordinates_and_no_age() -> None:
+    (frame,) = messages.encode_no_pose(CONTRACT, 3, 256 + 9)
+    none = "03 00" + "00 00 00 80" * 3 + "00 80" * 4 + "00 F0 FF 00 00 09 00 00"
+    assert frame[2:] == bytes.fromhex(none)
+    assert fits(frame, "e2e-p5", 0xFF15)
+
+
+def test_a_poses_sequence_starts_again_after_a_byte() -> None:
+    turn = Rotation.from_quat([-0.5, 0.5, 0.5, 0.5])
+    assert messages.encode_pose(CONTRACT, 7, 256 + 200, _pose(turn), now_s=10.38) == [POSE]
+
+
+def test_a_quaternion_has_a_positive_real_part_whatever_the_turn() -> None:
+    for turn in (Rotation.from_rotvec([0.0, 0.0, 3.5]), Rotation.from_rotvec([-3.2, 0.0, 0.0])):
+        (frame,) = messages.encode_pose(CONTRACT, 0, 0, _pose(turn), 10.0)
+        values = CONTRACT["RC_DockPose"].decode(frame)
+        assert values["QW"] >= 0
+        assert (Rotation.from_quat([values[k] for k in ("QX", "QY", "QZ", "QW")]) * turn.inv()).magnitude() < 1e-4
 
 
 def test_the_classic_file_lacks_what_this_scheme_needs_and_says_so() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -63,10 +64,15 @@ def test_a_pose_is_the_three_literal_frames() -> None:
 
 
 def test_a_withdrawn_pose_says_so_in_every_field() -> None:
-    position, rotation, quality = messages.encode_no_pose(CONTRACT, 0, 2)
-    assert position[2:] == rotation[2:] == bytes.fromhex("00 80 00 80 00 80")
-    assert quality[2] & 0b11 == 0
-    assert CONTRACT["RC_DockQuality"].decode(quality)["Age"] == 4095
+    """Coordinates and age are not available, all else is 0; the group shares one sequence number of four bits."""
+    frames = messages.encode_no_pose(CONTRACT, 5, 16 + 2)
+    assert [frame[1:] for frame in frames] == [
+        bytes.fromhex("25 00 80 00 80 00 80"),
+        bytes.fromhex("25 00 80 00 80 00 80"),
+        bytes.fromhex("25 00 00 F0 FF 00 00"),
+    ]
+    names = ("RC_DockPos", "RC_DockRot", "RC_DockQuality")
+    assert all(CONTRACT[name].protection.intact(frame) for name, frame in zip(names, frames, strict=True))
 
 
 def test_a_status_frame_reads_as_its_values() -> None:
@@ -84,6 +90,41 @@ def test_a_status_frame_reads_as_its_values() -> None:
         ack_result=RequestResult.DONE,
         code=0,
     )
+
+
+@pytest.mark.parametrize(("octets", "flag"), [("00 00 00 00 00 00 00 00", False), ("00 00 FF FF 00 00 00 00", True)])
+def test_each_flag_of_a_status_is_read(octets: str, flag: bool) -> None:
+    status = messages.decode_status(CONTRACT["CH_Status"], bytes.fromhex(octets))
+    assert (status.contactor_closed, status.dock_enable, status.motion_inhibit, status.estop) == (flag,) * 4
+
+
+@pytest.mark.parametrize(
+    ("changes", "alarming"),
+    [
+        ({}, False),
+        ({"estop": True}, True),
+        ({"motion_inhibit": True}, True),
+        ({"state": ChargerState.FAULT}, True),
+        ({"state": ChargerState.ESTOP}, True),
+        ({"dock_enable": False, "contactor_closed": False, "code": 3}, False),
+    ],
+)
+def test_what_must_stop_all_motion_is_alarming(changes: dict[str, Any], alarming: bool) -> None:
+    calm = replace(messages.decode_status(CONTRACT["CH_Status"], _literal("CH_Status")), motion_inhibit=False)
+    assert replace(calm, **changes).alarming is alarming
+
+
+def test_a_code_is_told_in_the_files_own_word_or_by_its_number() -> None:
+    told = [messages.describe_code(CONTRACT["CH_Status"], code) for code in (1, 257, 60_000)]
+    assert told == ["EStopPressed", "WrongState", "code 60000"]
+    assert messages.FIRST_REJECTION_CODE == 256
+
+
+def test_a_file_without_words_for_codes_leaves_their_numbers(tmp_path: Path) -> None:
+    lines = bundled_dbc().read_text().splitlines(keepends=True)
+    path = tmp_path / "wordless.dbc"
+    path.write_text("".join(line for line in lines if not (line.startswith("VAL_") and "FaultCode" in line)))
+    assert messages.describe_code(Contract(path)["CH_Status"], 1) == "code 1"
 
 
 def test_an_electrical_frame_reads_as_its_values() -> None:
@@ -154,10 +195,19 @@ def test_a_pose_that_does_not_fit_is_refused_not_clamped(changes: dict[str, Any]
         messages.encode_pose(CONTRACT, 0, 0, _pose(**changes), 10.0)
 
 
-@pytest.mark.parametrize(("now_s", "age_ms"), [(10.0, 0), (10.38, 380), (14.094, 4094), (14.2, 4095), (9.0, 4095)])
-def test_an_age_that_does_not_fit_is_not_available(now_s: float, age_ms: int) -> None:
-    quality = messages.encode_pose(CONTRACT, 0, 0, _pose(), now_s)[2]
+@pytest.mark.parametrize(
+    ("age_s", "age_ms"),
+    [(0.0, 0), (0.38, 380), (4.094, 4094), (4.0944, 4094), (4.0945, 4095), (4.2, 4095), (-1.0, 4095)],
+)
+def test_an_age_that_does_not_fit_is_not_available(age_s: float, age_ms: int) -> None:
+    quality = messages.encode_pose(CONTRACT, 0, 0, _pose(measured_at_s=0.0), age_s)[2]
     assert CONTRACT["RC_DockQuality"].decode(quality)["Age"] == age_ms
+
+
+def test_the_largest_judgement_comes_through_to_the_last_bit() -> None:
+    pose = _pose(rmse_m=0.020, fitness=1.0, tolerance_m=0.005)
+    values = CONTRACT["RC_DockQuality"].decode(messages.encode_pose(CONTRACT, 0, 0, pose, 10.0)[2])
+    assert [values[k] for k in ("RMSE", "Fitness", "Tolerance")] == pytest.approx([20.0, 100.0, 5.0])
 
 
 # --- other DBCs -----------------------------------------------------------------------------------------------------
