@@ -20,7 +20,7 @@ from controller.rough_look import CoarseStage
 from controller.scanner_facts import scanner_facts
 from controller.supervisor import Sources, Supervisor
 from drivers.base import ByteSink, Clock, MonotonicClock
-from drivers.processor_time import take_short_turns
+from drivers.processor_time import keep_out_of_collections, take_short_turns
 from perception.geometry import Pose
 
 
@@ -64,6 +64,7 @@ def assemble(
     supervisor = Supervisor(sources, clock, wall, config.host.stall_ms / 1000.0, alive)
     supervisor.facts.mode = heartbeat_mode
     devices.charger.alert(supervisor.wake)
+    keep_out_of_collections()
     supervisor.start()
     closing.callback(supervisor.close)
     cell = cell_of(config, devices, locator, supervisor, clock, wall, evidence)

@@ -239,7 +239,8 @@ class Supervisor:
             except Exception:
                 log.exception("the supervisor's tick failed")
                 self._latch(Fault(FaultCode.INTERNAL, "the supervisor's tick failed"))
-            due_s = max(due_s + TICK_S, self._wall.now_s())
+            if self._wall.now_s() >= due_s:  # else it was woken early: the next one is due when it was before
+                due_s = max(due_s + TICK_S, self._wall.now_s())
             self._wake.wait(timeout=max(0.0, due_s - self._wall.now_s()))
             self._wake.clear()
 

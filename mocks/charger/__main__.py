@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import gc
 import json
 import logging
 import os
@@ -59,6 +60,7 @@ def main(arguments: list[str] | None = None) -> int:
         where = {"interface": options.interface, "channel": options.channel or str(options.link[0])}
         sys.stdout.write(json.dumps(where) + "\n")
         sys.stdout.flush()
+        gc.freeze()  # a collection would hold up the whole device
         _serve(device, ports, stop)
     return 0
 

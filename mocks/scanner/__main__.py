@@ -21,6 +21,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import gc
 import json
 import logging
 import os
@@ -102,6 +103,7 @@ def _run(options: argparse.Namespace) -> int:
     sys.stdout.write(json.dumps({"device": str(link), "protocol": options.protocol, "pid": os.getpid()}) + "\n")
     sys.stdout.flush()
     try:
+        gc.freeze()  # a collection would hold up the whole device
         serve(device, line, wire, clock, stopping, requests)
     finally:
         line.unplug()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import gc
 import json
 import logging
 import signal
@@ -42,6 +43,7 @@ def main(arguments: list[str] | None = None) -> int:
     ports = {name: listener.port for name, listener in server.listeners.items()}
     sys.stdout.write(json.dumps({"host": options.host, "ports": ports}) + "\n")
     sys.stdout.flush()
+    gc.freeze()  # a collection would hold up the whole device
     server.run()
     return 0
 

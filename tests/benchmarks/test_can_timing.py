@@ -24,7 +24,7 @@ from drivers.arm.ur import UrArm
 from drivers.base import ArmState, ChargerRequest, MonotonicClock
 from drivers.charger.contract import Contract
 from drivers.charger.messages import decode_status
-from drivers.processor_time import take_short_turns
+from drivers.processor_time import keep_out_of_collections, take_short_turns
 from tests.arm_rig import MockController, settings, until
 from tests.benchmarks.test_arm_timing import HZ, BareSleeps, QuietScanner, perception_like_load
 from tests.contract.charger_bench import QUICK, Bench, MockProcess
@@ -75,6 +75,7 @@ class Cell:
         self.link.charger.open()
         sources = Sources(arm, self.link.charger, QuietScanner())  # type: ignore[arg-type]
         clock = MonotonicClock()
+        keep_out_of_collections()
         self.supervisor = Supervisor(sources, clock, clock, stall_s=10.0)
         self.link.charger.alert(self.supervisor.wake)
         self.supervisor.start()
