@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from controller.calibrations.record import Calibration, basis
+from controller.calibrations.record import Calibration, fits_basis
 from perception.geometry import Array
 
 LOCATOR_MM = 0.05
@@ -53,7 +53,7 @@ def parts(calibrations: Mapping[str, Calibration], standoff_mm: float) -> tuple[
 
 def _hand_eye_part(hand_eye: Calibration | None, tool: Calibration | None, standoff_mm: float) -> Part:
     """A tool that was found by mating has the mounting's error in it, with the other sign."""
-    if tool is not None and tool.made_with == basis(hand_eye, None):
+    if tool is not None and tool.made_with is not None and fits_basis(tool.made_with, hand_eye, None):
         return Part("hand-eye", 0.0, 0.0, "in the tool that was found with it")
     if hand_eye is None:
         return Part("hand-eye", HAND_EYE_MM, 0.0, "assumed")

@@ -84,9 +84,17 @@ def _parsed(line: str) -> LoggedDock:
     return LoggedDock(datetime.fromisoformat(values["time"]), str(values["basis"]), Dock(str(values["port"]), offset))
 
 
-def docks_of(logged: Sequence[LoggedDock], basis: str) -> list[Dock]:
-    """Those that may be judged together."""
-    return [one.dock for one in logged if one.basis == basis]
+def judged(logged: Sequence[LoggedDock], basis: str) -> list[LoggedDock]:
+    """Those that may be judged together with docks of this basis: of the same cell, and of each port those since it
+    was last taught."""
+    cell = [one for one in logged if cell_mark(one.basis) == cell_mark(basis)]
+    newest = {one.dock.port: one.basis for one in cell}
+    return [one for one in cell if one.basis == newest[one.dock.port]]
+
+
+def cell_mark(basis: str) -> str:
+    """The part of a basis that all ports of a cell share."""
+    return basis.rpartition(" ")[0] or basis
 
 
 def in_words(drift: Drift) -> str:
@@ -103,4 +111,4 @@ def in_words(drift: Drift) -> str:
 
 def drift_warnings(folder: Path, basis: str) -> tuple[str, ...]:
     """What the chart says after the newest dock."""
-    return tuple(in_words(drift) for drift in warnings(docks_of(read_docks(folder), basis)))
+    return tuple(in_words(drift) for drift in warnings([one.dock for one in judged(read_docks(folder), basis)]))

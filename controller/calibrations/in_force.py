@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 
-from controller.calibrations.record import Calibration, CalibrationFileError, DeviceNames, Kind, basis
+from controller.calibrations.record import Calibration, CalibrationFileError, DeviceNames, Kind, basis, fits_basis
 from controller.calibrations.store import CalibrationStore
 from controller.config import SiteConfig
 from controller.config_section import PoseConfig
@@ -37,12 +37,17 @@ def mock_names(cell: int) -> DeviceNames:
 
 
 def basis_of(config: SiteConfig) -> str:
-    """Names a cell's geometry as its effective configuration has it: what docks must share to be judged together."""
+    """Names a cell's geometry as its effective configuration has it: device, mark of mounting and tool, mark of the
+    port's taught pose. Docks at one port that are judged together share all three, docks at several the first two.
+    """
     port = config.port.T_port_tcp
-    poses = [config.scanner.T_flange_scanner, config.arm.T_flange_tcp]
-    values = [pose.model_dump() for pose in poses] + [None if port is None else port.model_dump()]
-    mark = hashlib.sha256(json.dumps(values).encode()).hexdigest()[:12]
-    return f"{config.scanner.serial or config.arm.serial or config.arm.host} {mark}"
+    cell = _mark([config.scanner.T_flange_scanner.model_dump(), config.arm.T_flange_tcp.model_dump()])
+    taught = _mark([None if port is None else port.model_dump()])
+    return f"{config.scanner.serial or config.arm.serial or config.arm.host} {cell} {taught}"
+
+
+def _mark(values: object) -> str:
+    return hashlib.sha256(json.dumps(values).encode()).hexdigest()[:12]
 
 
 def slots_of(config: SiteConfig) -> tuple[str, ...]:
@@ -72,21 +77,28 @@ def examine_calibrations(
     return tuple(judged)
 
 
+def usable(found: Iterable[Examined]) -> dict[str, Calibration]:
+    """Those that can be used, by slot."""
+    return {one.slot: one.calibration for one in found if one.problem is None and one.calibration is not None}
+
+
 def basis_in_force(found: Iterable[Examined]) -> str:
     """Names the hand-eye and tool calibrations among those that can be used."""
-    usable = {one.slot: one.calibration for one in found if one.problem is None}
-    return basis(usable.get("hand-eye"), usable.get("tool"))
+    used = usable(found)
+    return basis(used.get("hand-eye"), used.get("tool"))
 
 
 def _of_its_basis(one: Examined, before: Sequence[Examined]) -> Examined:
     """A tool or a port that was measured with other calibrations than those in force is to be measured again."""
     if one.calibration is None or one.calibration.made_with is None or one.problem is not None:
         return one
-    now = basis_in_force(before)
-    if one.calibration.made_with == now:
+    used = usable(before)
+    if fits_basis(one.calibration.made_with, used.get("hand-eye"), used.get("tool")):
         return one
     remedy = "`portdock teach` the port again." if one.calibration.kind == "port" else "`portdock calibrate tcp` again."
-    cause = f"the {one.slot} calibration was made with {one.calibration.made_with}; in force is {now}"
+    cause = (
+        f"the {one.slot} calibration was made with {one.calibration.made_with}; in force is {basis_in_force(before)}"
+    )
     return Examined(one.slot, one.calibration, CalibrationFileError(cause, remedy=remedy))
 
 

@@ -59,6 +59,8 @@ class Calibration:
     """Of kind ``port`` and of a tool that was found by mating: which hand-eye and tool calibrations were in force
     (``basis``). What is measured so cancels their errors, and no others."""
     versions: tuple[tuple[str, str], ...] = ()
+    corrects: tuple[str, ...] = ()
+    """Checksums of those that this one was made from by a correction for drift, the last one first."""
 
     @property
     def slot(self) -> str:
@@ -98,8 +100,20 @@ def checksum_of(calibration: Calibration) -> str:
 
 def basis(hand_eye: Calibration | None, tool: Calibration | None) -> str:
     """What names the calibrations that something was measured with."""
-    names = (("hand-eye", hand_eye), ("tool", tool))
-    return ", ".join(f"{name} {'none' if one is None else checksum_of(one)[:12]}" for name, one in names)
+    return f"hand-eye {_name(hand_eye)}, tool {_name(tool)}"
+
+
+def _name(one: Calibration | None) -> str:
+    return "none" if one is None else checksum_of(one)[:12]
+
+
+def fits_basis(made_with: str, hand_eye: Calibration | None, tool: Calibration | None) -> bool:
+    """Whether something was measured with these two, or with what they correct: a correction puts back what drifted."""
+    corrected = [() if one is None else one.corrects for one in (hand_eye, tool)]
+    hand_eyes, tools = [
+        (_name(one), *(mark[:12] for mark in more)) for one, more in zip((hand_eye, tool), corrected, strict=True)
+    ]
+    return made_with in {f"hand-eye {first}, tool {second}" for first in hand_eyes for second in tools}
 
 
 def from_yaml(text: str, where: str) -> Calibration:
@@ -117,7 +131,8 @@ def from_yaml(text: str, where: str) -> Calibration:
 
 
 def _values(c: Calibration) -> dict[str, Any]:
-    return {
+    more = {"corrects": list(c.corrects)} if c.corrects else {}
+    return more | {
         "kind": c.kind,
         "port": c.port,
         "measured": c.measured.astimezone(UTC).isoformat(timespec="seconds"),
@@ -157,6 +172,7 @@ def _calibration(values: dict[str, Any]) -> Calibration:
         latency_ms=None if latency_ms is None else _finite(latency_ms),
         made_with=values["made_with"],
         versions=tuple((str(name), str(version)) for name, version in values["versions"].items()),
+        corrects=tuple(str(mark) for mark in values.get("corrects", ())),
     )
 
 

@@ -1,35 +1,46 @@
-"""``portdock calibrate drift``: does docking still end where it used to?"""
+"""``portdock calibrate drift``: does docking still end where it used to, and what would put it back?"""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
 import numpy as np
 import typer
 
-from controller.calibrations.dock_log import NAME, LoggedDock, in_words, read_docks
+from controller.calibrations.corrections import Correction, corrections
+from controller.calibrations.dock_log import NAME, LoggedDock, cell_mark, in_words, judged, read_docks
+from controller.calibrations.in_force import basis_of, calibrated_as_far_as_fits, device_names, mock_names, usable
+from controller.calibrations.store import CalibrationStore
 from controller.cli.scan import ConfigOption
-from controller.config import load_config
-from perception.calibration.drift import AXES, ChartSettings, Dock, chart, warnings
+from controller.config import SiteConfig, load_config
+from perception.calibration.drift import AXES, ChartSettings, Dock, Drift, chart, warnings
+from perception.errors import InputError
 
 UNITS = np.array([1e3] * 3 + [180.0 / np.pi] * 3)
 
 
 def drift(
     out: Annotated[Path | None, typer.Option(help="Draw the charts into this picture (.png, .svg).")] = None,
+    accept: Annotated[
+        str | None, typer.Option(help="Put this proposal in force: hand-eye, tool or port-NAME. Nothing moves.")
+    ] = None,
     config: ConfigOption = None,
+    mock_cell: Annotated[int | None, typer.Option(min=0, help="Docks of this mock cell, made by dry runs.")] = None,
 ) -> None:
-    """Print the control chart of every port type docked at with the newest calibrations, and what it warns of.
+    """Print the control chart of every port type docked at, what it warns of, and which correction would cancel it.
 
-    Exit code 1 with a warning.
+    Exit code 1 with a warning, 0 once a correction has been accepted.
     """
-    folder = Path(load_config(config).calibration.folder)
+    site = load_config(config)
+    folder = Path(site.calibration.folder)
     logged = read_docks(folder)
     if not logged:
         typer.echo(f"{folder / NAME}: no docks yet")
         return
-    docks = [one.dock for one in logged if one.basis == logged[-1].basis]
+    current = judged(logged, logged[-1].basis)
+    docks = [one.dock for one in current]
     for port in sorted({dock.port for dock in docks}):
         _print_port(port, [dock for dock in docks if dock.port == port])
     if out is not None:
@@ -40,9 +51,54 @@ def drift(
         typer.echo(in_words(warning))
     older = len(logged) - len(docks)
     if older:
-        typer.echo(f"{older} docks with other calibrations are left out, the last on {_last_other(logged)}")
-    if found:
+        typer.echo(f"{older} docks with other calibrations are left out")
+    if accept is not None:
+        _accept(accept, _proposed(site, mock_cell, found, logged[-1]), CalibrationStore(folder))
+    elif found:
+        try:
+            _show(_proposed(site, mock_cell, found, logged[-1]))
+        except InputError as error:  # the warning stands all the same
+            typer.echo(f"no correction: {error.cause}\n  remedy: {error.remedy}")
         raise typer.Exit(1)
+
+
+def _proposed(site: SiteConfig, mock_cell: int | None, found: Sequence[Drift], last: LoggedDock) -> list[Correction]:
+    """Raises InputError if other calibrations than the docks' are in force: they may have mended it already."""
+    devices = device_names(site) if mock_cell is None else mock_names(mock_cell)
+    site, examined = calibrated_as_far_as_fits(site, devices)
+    if mock_cell is not None:
+        site = site.model_copy(update={"scanner": site.scanner.model_copy(update={"serial": devices.scanner})})
+    if cell_mark(basis_of(site)) != cell_mark(last.basis):
+        raise InputError(
+            "the docks in the chart were made with other calibrations than those in force",
+            remedy="Dock with these first; the chart judges anew. Docks of a mock cell want --mock-cell.",
+        )
+    return list(corrections(site, found, usable(examined), devices))
+
+
+def _show(proposed: Sequence[Correction]) -> None:
+    for one in proposed:
+        typer.echo(f"proposed: {one.new.slot} by {_change(one)}\n  `portdock calibrate drift --accept {one.new.slot}`")
+    if len(proposed) > 1:
+        typer.echo("accept one of them: docks alone do not tell which has moved")
+
+
+def _change(one: Correction) -> str:
+    place, turn = 1e3 * one.change[:3], np.rad2deg(one.change[3:])
+    return f"{' '.join(f'{v:+.3f}' for v in place)} mm, {' '.join(f'{v:+.3f}' for v in turn)} deg"
+
+
+def _accept(slot: str, proposed: Sequence[Correction], store: CalibrationStore) -> None:
+    """The old one is a file too before the new one is in force."""
+    chosen = next((one for one in proposed if one.new.slot == slot), None)
+    if chosen is None:
+        known = ", ".join(one.new.slot for one in proposed) or "nothing"
+        raise InputError(f"the chart proposes no correction of '{slot}'", remedy=f"Proposed is {known}.")
+    before = store.path_in_force(slot) if chosen.stored else store.add(chosen.old)
+    assert before is not None, "what is stored is in force"
+    path = store.add(chosen.new)
+    typer.echo(f"{slot} corrected by {_change(chosen)}")
+    typer.echo(f"in force: {path}\n  undo with `portdock calibrate restore {before.name}`")
 
 
 def _print_port(port: str, docks: list[Dock]) -> None:
@@ -74,7 +130,3 @@ def _draw(docks: list[Dock], path: Path) -> None:
                 panel.plot(dock, sign * UNITS[k] * found.bound[:, k], color="tab:red", linewidth=0.8)
             panel.set(title=f"{port}: {axis}", xlabel="dock", ylabel="mm" if k < 3 else "deg")
     figure.savefig(path, dpi=100)
-
-
-def _last_other(logged: list[LoggedDock]) -> str:
-    return max(one.time for one in logged if one.basis != logged[-1].basis).strftime("%Y-%m-%d")

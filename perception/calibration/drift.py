@@ -72,6 +72,8 @@ class Drift:
     axes: tuple[str, ...]
     shift: Array
     """(6,) of the newest average against the standard."""
+    sigma: Array
+    """(6,) of the shift, 1 sigma."""
     cause: Cause
 
 
@@ -107,6 +109,7 @@ def warnings(docks: Sequence[Dock], settings: ChartSettings | None = None) -> tu
             _docks_ago(found),
             tuple(axis for axis, alarmed in zip(AXES, found.alarms[-1], strict=True) if alarmed),
             found.average[-1] - found.centre,
+            found.bound[-1] / s.limit,
             cause,
         )
         for port, found in sorted(out.items())

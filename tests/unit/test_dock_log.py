@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from controller.calibrations.dock_log import NAME, append_dock, docks_of, drift_warnings, read_docks, rest_offset
+from controller.calibrations.dock_log import NAME, append_dock, drift_warnings, judged, read_docks, rest_offset
 from controller.cli.main import app
 from perception.calibration.drift import Dock
 from perception.geometry import Pose
@@ -39,7 +39,7 @@ def test_what_is_written_is_read_and_damaged_lines_are_left_out(tmp_path: Path) 
     write(tmp_path, 1, basis="b")
     logged = read_docks(tmp_path)
     assert [one.basis for one in logged] == ["a", "a", "a", "b"]
-    assert len(docks_of(logged, "a")) == 3
+    assert len(judged(logged, "a")) == 3
     first = np.random.default_rng(0).normal(size=6) * SIGMA
     np.testing.assert_allclose(logged[0].dock.offset, first, atol=1e-6)
 
