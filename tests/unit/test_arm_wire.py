@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import socket
+import struct
 import threading
 from contextlib import contextmanager
 
@@ -13,7 +14,7 @@ from hypothesis import strategies as st
 
 from drivers.arm.dashboard import Dashboard
 from drivers.arm.errors import ArmAbsentError
-from drivers.arm.rtde_stream import RawSample, RtdeStream, decode
+from drivers.arm.rtde_stream import RawSample, RtdeStream, controller_version, decode
 from drivers.base import LinkLostError, ProtocolError
 from tests.arm_rig import own_address
 
@@ -150,19 +151,67 @@ def test_every_queued_sample_is_read_and_other_packages_are_passed_over() -> Non
         stream.close()
 
 
+def connected() -> tuple[RtdeStream, socket.socket]:
+    """A stream to which recipe 1 has been promised, and the controller's end of its socket."""
+    ours, theirs = socket.socketpair()
+    theirs.settimeout(5.0)
+    stream = RtdeStream.__new__(RtdeStream)
+    stream._socket, stream._buffer, stream._recipe, stream._where = ours, bytearray(), 1, "here"
+    return stream, theirs
+
+
 @given(cuts=st.lists(st.integers(1, 2 * len(SAMPLE) - 1), max_size=8))
 @settings(max_examples=50, deadline=None)
 def test_packages_are_found_however_the_network_cuts_them(cuts) -> None:
-    ours, theirs = socket.socketpair()
-    stream = RtdeStream.__new__(RtdeStream)
-    stream._socket, stream._buffer, stream._recipe = ours, bytearray(), 1
+    stream, theirs = connected()
     data = SAMPLE + LATER
     samples: list[RawSample] = []
     for begin, end in itertools.pairwise([0, *sorted(set(cuts)), len(data)]):
         theirs.sendall(data[begin:end])
         samples += stream.read(1.0)
     assert [sample.timestamp_s for sample in samples] == [2.0, 3.0]
-    ours.close()
+    stream.close()
+    theirs.close()
+
+
+@pytest.mark.parametrize(
+    "other",
+    [
+        bytes.fromhex("00034d"),  # a header without a payload
+        bytes.fromhex("9c434d") + bytes(40_000),  # longer than a signed size
+        bytes.fromhex("0004ff 01"),  # a type that no signed byte holds
+    ],
+)
+def test_a_package_of_any_size_and_type_is_passed_over_whole(other: bytes) -> None:
+    stream, theirs = connected()
+    theirs.sendall(other + SAMPLE)
+    assert [sample.timestamp_s for sample in read_all(stream, 1)] == [2.0]
+    stream.close()
+    theirs.close()
+
+
+def test_a_size_below_the_headers_own_is_an_error() -> None:
+    stream, theirs = connected()
+    theirs.sendall(bytes.fromhex("000255"))
+    with pytest.raises(ProtocolError, match="size of 2 bytes"):
+        stream.read(2.0)
+    stream.close()
+    theirs.close()
+
+
+def test_what_is_sent_has_an_unsigned_size_and_type() -> None:
+    stream, theirs = connected()
+    stream.send(0xFF, bytes(40_000))
+    with theirs.makefile("rb") as heard:
+        assert heard.read(3) == bytes.fromhex("9c43ff")
+    stream.close()
+    theirs.close()
+
+
+def test_silence_gives_no_samples_and_does_not_last() -> None:
+    stream, theirs = connected()
+    assert stream.read(0.01) == []
+    stream.close()
     theirs.close()
 
 
@@ -186,6 +235,40 @@ def test_a_controller_that_stops_answering_is_absent(count) -> None:
     script = [VERSION, CONTROLLER, OUTPUTS][:count]
     with scripted_server(30004, script) as (host, _), pytest.raises(ArmAbsentError):
         opened(host)
+
+
+def test_a_controller_whose_types_are_too_few_or_no_text_is_refused() -> None:
+    for kinds, words in ((KINDS.rpartition(b",")[0], "does not send the state"), (b"\xff" + KINDS[1:], "timestamp as")):
+        answer = struct.pack(">HB", 4 + len(kinds), ord("O")) + b"\x01" + kinds
+        with (
+            scripted_server(30004, [VERSION, CONTROLLER, (OUTPUTS[0], answer)]) as (host, _),
+            pytest.raises(ProtocolError, match=words),
+        ):
+            opened(host)
+
+
+def test_a_controller_that_does_not_start_is_refused() -> None:
+    script = [VERSION, CONTROLLER, OUTPUTS, (START[0], bytes.fromhex("00045300"))]
+    with scripted_server(30004, script) as (host, _), pytest.raises(ProtocolError, match="does not send the state"):
+        opened(host)
+
+
+def test_a_version_is_four_unsigned_numbers_whatever_follows_them() -> None:
+    newer = bytes.fromhex("001776 00000005 0000000f 00000002 ffffffff 01020304")
+    with scripted_server(30004, [VERSION, (CONTROLLER[0], newer)]) as (host, _):
+        assert controller_version(host, 2.0) == (5, 15, 2, 0xFFFFFFFF)
+
+
+def test_a_controller_that_accepts_and_says_nothing_is_absent_after_the_time_out() -> None:
+    silent = [(VERSION[0] + b"more, which never comes", b"")]
+    with scripted_server(30004, silent) as (host, _), pytest.raises(ArmAbsentError, match=f"{host}:30004 .*timed out"):
+        RtdeStream(host, 0.05)
+
+
+def test_where_no_controller_listens_the_address_is_named() -> None:
+    host = own_address()
+    with pytest.raises(ArmAbsentError, match=f"no robot controller answers at {host}:30004"):
+        controller_version(host, 2.0)
 
 
 def test_a_controller_that_refuses_the_protocol() -> None:

@@ -7,12 +7,18 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from drivers.frame_format import Checksum
-from drivers.scanner.checksums import checksum_function
+from drivers.scanner.checksums import _crc_function, checksum_function
 
 CRC16_FALSE = Checksum("crc16", poly=0x1021, init=0xFFFF)
 CRC16_MODBUS = Checksum("crc16", poly=0x8005, init=0xFFFF, reflected=True)
 CRC32 = Checksum("crc32", poly=0x04C11DB7, init=0xFFFFFFFF, xor_out=0xFFFFFFFF, reflected=True)
 CRC8 = Checksum("crc8", poly=0x07)
+
+
+@pytest.fixture(autouse=True)
+def _fresh_tables() -> None:
+    """Tables are kept for the life of the process; here each test makes its own."""
+    _crc_function.cache_clear()
 
 
 def of(checksum: Checksum, *messages: bytes) -> list[int]:
@@ -50,3 +56,26 @@ def test_any_message_agrees_with_independent_implementations(message: bytes) -> 
 def test_a_batch_gives_each_frame_its_own_checksum() -> None:
     messages = [bytes([k, 7, 255 - k]) for k in range(5)]
     assert of(CRC32, *messages) == [zlib.crc32(message) for message in messages]
+
+
+@pytest.mark.parametrize("length", [1, 2, 3, 300])
+def test_frames_of_any_length_have_their_checksum(length: int) -> None:
+    message = bytes(k % 251 for k in range(length))
+    assert of(CRC8, message) == [Crc8Smbus.calc(message)]
+    assert of(CRC16_MODBUS, message) == [CrcModbus.calc(message)]
+    assert of(CRC16_FALSE, message) == [Crc16CcittFalse.calc(message)]
+    assert of(Checksum("sum8"), message) == [sum(message) % 256]
+    assert of(Checksum("crc32", poly=0x04C11DB7, init=0xFFFFFFFF, reflected=True), message) == [
+        zlib.crc32(message) ^ 0xFFFFFFFF
+    ]
+
+
+def test_two_frames_have_a_sum_and_a_parity_each() -> None:
+    assert of(Checksum("sum8"), b"\xff\x02\x03", b"\x01\x01\x01") == [4, 3]
+    assert of(Checksum("xor8"), b"\xff\x02\x03", b"\x01\x01\x01") == [0xFE, 1]
+    assert of(Checksum("none"), b"\xff\x02\x03", b"\x01\x01\x01") == [0, 0]
+
+
+def test_where_the_covered_bytes_begin_does_not_change_the_sum_over_them() -> None:
+    shifted = Checksum("crc16", from_byte=4, poly=0x1021, init=0xFFFF)
+    assert of(shifted, b"123456789") == [0x29B1]
