@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drivers.scanner.profiler2_codec import PacketReader, encode, read_request
+from drivers.scanner.profiler2_codec import PacketReader, block_check, encode, read_request
 from mocks.scanner import profiler2 as device
 
 ADDRESS_QUESTION = bytes.fromhex("02 00 40 0B 03 4B")
@@ -62,6 +62,63 @@ def test_start_and_end_bytes_inside_the_data_are_data() -> None:
 
 
 EDIT = st.tuples(st.sampled_from(["delete", "double", "flip"]), st.integers(0, 10**6), st.integers(0, 7))
+
+
+def counts(reader: PacketReader) -> dict[str, int]:
+    return dict(reader.counters.as_pairs())
+
+
+def test_what_comes_and_what_is_dropped_is_counted() -> None:
+    reader = PacketReader()
+    wrong_end = bytes.fromhex("02 00 40 0B 04 4B")
+    wrong_check = bytes.fromhex("02 00 40 0B 03 4C")
+    stream = b"\x00\x01\xff" + SIZE_QUESTION + wrong_end + ADDRESS_ANSWER + wrong_check + b"\x05" + ADDRESS_QUESTION
+    assert [packet.command for packet in reader.feed(stream)] == [0x0002, 0x400B, 0x400B]
+    assert counts(reader) == {"bytes": 44, "packets": 3, "bytes_dropped": 16, "bad_checksum": 1, "tolerated": 0}
+    assert reader.feed(ADDRESS_ANSWER[:7]) == []
+    reader.flush()
+    assert counts(reader)["bytes_dropped"] == 23
+    assert [packet.command for packet in reader.feed(ADDRESS_ANSWER)] == [0x400B], "the unfinished one is forgotten"
+    assert counts(reader)["packets"] == 4
+
+
+@pytest.mark.parametrize("tolerant", [False, True])
+def test_a_packet_is_found_with_its_last_byte_and_not_before(tolerant: bool) -> None:
+    for packet in (ADDRESS_QUESTION, SIZE_ANSWER):
+        reader = PacketReader(tolerant)
+        assert [len(reader.feed(packet[k : k + 1])) for k in range(len(packet))] == [0] * (len(packet) - 1) + [1]
+        assert counts(reader)["bytes_dropped"] == 0
+        assert counts(reader)["tolerated"] == 0
+
+
+ONE_WORD_LESS = bytes.fromhex("02 03 40 0B 03 06 20 00 03 6D")
+"""LEN says three words, two follow; 6D is 03 ^ 40 ^ 0B ^ 03 ^ 06 ^ 20 ^ 00."""
+
+
+def test_a_length_one_word_too_long_is_tolerated_only_with_a_right_check() -> None:
+    tolerant = PacketReader(tolerant=True)
+    (packet,) = tolerant.feed(ONE_WORD_LESS)
+    assert packet.words.tolist() == [0x0306, 0x2000]
+    assert counts(tolerant) == {"bytes": 10, "packets": 1, "bytes_dropped": 0, "bad_checksum": 0, "tolerated": 1}
+    spoiled = PacketReader(tolerant=True)
+    (packet,) = spoiled.feed(ONE_WORD_LESS[:-1] + b"\x6c" + ADDRESS_QUESTION)
+    assert packet.words.tolist() == []
+    assert counts(spoiled) == {"bytes": 16, "packets": 1, "bytes_dropped": 10, "bad_checksum": 0, "tolerated": 0}
+
+
+def test_a_packet_that_does_not_end_where_it_should_is_never_tolerated() -> None:
+    reader = PacketReader(tolerant=True)
+    assert reader.feed(bytes.fromhex("02 00 40 0B 04 4B") + bytes(2)) == []
+    assert counts(reader) == {"bytes": 8, "packets": 0, "bytes_dropped": 8, "bad_checksum": 0, "tolerated": 0}
+
+
+def test_the_check_of_nothing_is_zero_and_of_one_byte_itself() -> None:
+    assert [block_check(body) for body in (b"", b"\xa5", b"\xa5\x5a", b"\xff\xff\x01")] == [0, 0xA5, 0xFF, 0x01]
+
+
+def test_a_read_of_single_words_and_one_of_pairs_differ_in_one_digit() -> None:
+    assert read_request(0x12345678, 5)[4:10] == bytes.fromhex("12 34 56 78 05 11")
+    assert read_request(0x12345678, 5, pairs=True, step=2)[4:10] == bytes.fromhex("12 34 56 78 05 22")
 
 
 @settings(max_examples=300, deadline=None)
