@@ -20,7 +20,7 @@ from controller.rough_look import CoarseStage
 from controller.scanner_facts import scanner_facts
 from controller.supervisor import Sources, Supervisor
 from drivers.base import ByteSink, Clock, MonotonicClock
-from drivers.processor_time import keep_out_of_collections, take_short_turns
+from drivers.processor_time import keep_out_of_collections, keep_time
 from perception.geometry import Pose
 
 
@@ -49,7 +49,7 @@ def assemble(
     alive: Callable[[], None] = lambda: None,
 ) -> Assembly:
     """Open everything and start the tick. Raises LinkOpenError, and ConfigError before anything is opened."""
-    take_short_turns()
+    keep_time()
     wall = MonotonicClock()
     clock = PacedClock(pace, wall)
     devices = wiring.build_devices(config, evidence, wall)

@@ -19,7 +19,6 @@ from controller.config_section import ConfigError
 from controller.port_files import load_port
 from controller.scenarios import Scenario
 from drivers.base import LinkOpenError
-from drivers.processor_time import take_short_turns
 from mocks.world.blackboard import Blackboard
 from mocks.world.spec import WorldSpec
 from perception.geometry import Pose
@@ -60,7 +59,6 @@ class MockCell:
 
     def __enter__(self) -> MockCell:
         """Start all three. Raises LinkOpenError when one does not come up."""
-        take_short_turns()  # the mocks take after this process: on a real cell nothing here could delay the devices
         self._folder.mkdir(parents=True, exist_ok=True)
         world, port = self._world(), load_port(self._base.port.model)
         world.save(self._folder)

@@ -8,27 +8,27 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable
 from contextlib import ExitStack
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from controller.assembly import assemble
+from controller.calibrations.port_sweeps import placed, solved
 from controller.calibrations.thinker import Thinker
+from controller.calibrations.timed_sweep import timed_sweep
 from controller.calibrations.views import View, candidates, reachable, sweep_of
 from controller.cell import Cell
 from controller.config import SiteConfig
 from controller.planning import Viewpoint
-from controller.scan_session import go_to_start, sweep_over
-from controller.states import State
-from controller.sweep import SweepError, scan_of
-from controller.sweeping import ProgressReport, taken_moving
+from controller.sweep import SweepError
+from controller.sweeping import ProgressReport
 from controller.unrecorded import Unrecorded
 from perception.calibration.errors import CalibrationError
 from perception.calibration.foresight import Expected, Foreseen, Sweep, best_next, covariance_after, foreseen, spread
-from perception.calibration.from_sweeps import Solved, TargetKind, checked, solve_sweeps, sphere_place
+from perception.calibration.from_sweeps import Solved, TargetKind, checked, sphere_place
 from perception.calibration.hand_eye import Asked
 from perception.calibration.sightings import Mounting
-from perception.calibration.targets import SphereTarget
+from perception.calibration.targets import PortTarget, SphereTarget
 from perception.geometry import Array, Pose
 from perception.scan import Scan
 
@@ -126,11 +126,11 @@ class _Calibrating:
         while not self._enough():
             self._sweep(self._next_view())
             self._solve()
-        solved = self._solved
-        assert solved is not None, "it is enough only with a solution"
-        left_out_m = self._thinker.ask(self._cell, checked, solved, self._wanted.asked)
+        found = self._solved
+        assert found is not None, "it is enough only with a solution"
+        left_out_m = self._thinker.ask(self._cell, checked, found, self._wanted.asked)
         shared = self._config.scanner.sync in ("shared_clock", "trigger")
-        return Calibrated(solved, left_out_m, len(self._scans), 1.0 if shared else self._cell.time_scale)
+        return Calibrated(found, left_out_m, len(self._scans), 1.0 if shared else self._cell.time_scale)
 
     def plan(self) -> list[Planned]:
         """Poses one by one until the prediction is good enough, or no more may be added."""
@@ -148,29 +148,35 @@ class _Calibrating:
     # --- sweeps
 
     def _find_target(self) -> None:
-        """A first sweep, square on; of a sphere it tells where to look from then on."""
-        kind = self._wanted.kind
-        if kind.name != "sphere":
+        """A first sweep, square on; of a sphere or a port it tells where to look from then on."""
+        if self._wanted.kind.name == "planes":
             self._sweep(View())
             return
         problem: CalibrationError | None = None
         for aside_mm in SEARCH_ASIDE_MM:
             self._sweep(View(aside_mm=aside_mm))
             try:
-                place = self._thinker.ask(self._cell, sphere_place, self._scans[-1], kind.radius_m, self._mounting)
+                self._aim(self._place())
             except CalibrationError as error:
                 self._scans.pop()
                 problem = problem or error
                 continue
-            self._aim(place)
             return
         assert problem is not None
         raise problem
 
+    def _place(self) -> Array:
+        """(3,) where the last sweep shows the target whole. Raises CalibrationError."""
+        kind, scan = self._wanted.kind, self._scans[-1]
+        if kind.name == "port":
+            expected = self._T_base_target
+            return self._thinker.ask(self._cell, placed, scan, kind.port, expected, self._mounting).translation
+        return self._thinker.ask(self._cell, sphere_place, scan, kind.radius_m, self._mounting)
+
     def _sweep(self, view: View) -> None:
         for _ in range(SPOILED):
             try:
-                scan = _swept(self._cell, self._config, self._viewpoint(view), self._report)
+                scan = timed_sweep(self._cell, self._config, self._viewpoint(view), self._report)
                 break
             except SweepError as error:
                 log.warning("this sweep cannot be used, it is made again: %s", error.cause)
@@ -247,17 +253,24 @@ class _Calibrating:
             return
         w = self._wanted
         try:
-            solved = self._thinker.ask(self._cell, solve_sweeps, self._scans, w.kind, self._mounting, w.asked)
+            at = self._port
+            found = self._thinker.ask(self._cell, solved, self._scans, w.kind, at, self._mounting, w.asked)
         except CalibrationError as error:
             if len(self._scans) >= w.max_sweeps:
                 raise
             log.info("not yet: %s", error.cause)
             return
-        self._solved, self._mounting = solved, solved.hand_eye.mounting
-        if solved.place is not None:
-            self._aim(solved.place)
-        sigma_m, sigma_rad = spread(solved.hand_eye.covariance[:6, :6])
+        self._solved, self._mounting = found, found.hand_eye.mounting
+        if found.place is not None:
+            self._aim(found.place)
+        sigma_m, sigma_rad = spread(found.hand_eye.covariance[:6, :6])
         self._note(f"  1 sigma {1e3 * sigma_m:.3f} mm, {np.rad2deg(sigma_rad):.4f} deg; {self._foretold()}")
+
+    @property
+    def _port(self) -> Pose:
+        """Where a port is expected: by the last solution; before one, where the target is, turned as the site says."""
+        target = None if self._solved is None else self._solved.hand_eye.target
+        return target.T_base_port if isinstance(target, PortTarget) else self._T_base_target
 
     def _foretold(self) -> str:
         if self._wanted.kind.name != "sphere":
@@ -278,20 +291,3 @@ class _Calibrating:
             sigma_m, sigma_rad = spread(covariance_after(self._made, Expected()))
             certain = sigma_m < w.sigma_m and sigma_rad < w.sigma_rad
         return certain
-
-
-def _swept(cell: Cell, config: SiteConfig, view: Viewpoint, report: ProgressReport) -> Scan:
-    """One sweep whose profiles bear the time of their measurement: speeds and time offset are taken from it."""
-    if config.scanner.sync == "stop_and_go":
-        return sweep_over(cell, config, (view,), report)
-    go_to_start(cell, config, view)
-    cell.enter(State.SCANNING, config.deadlines.scanning_s)
-    try:
-        sweep = taken_moving(cell, config, (view,), report)
-    finally:
-        cell.enter(State.READY, None)
-    scan = scan_of(sweep, config.scanner.T_flange_scanner.pose)
-    profiles = [
-        replace(profile, time_s=float(time_s)) for profile, time_s in zip(scan.profiles, sweep.times_s, strict=True)
-    ]
-    return replace(scan, profiles=tuple(profiles))

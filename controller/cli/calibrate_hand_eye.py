@@ -7,7 +7,7 @@ from contextlib import ExitStack
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import numpy as np
 import typer
@@ -33,6 +33,7 @@ class TargetName(enum.StrEnum):
 
     SPHERE = "sphere"
     PLANES = "planes"
+    PORT = "port"
 
 
 def hand_eye(
@@ -52,16 +53,16 @@ def hand_eye(
     mock_diameter_mm: Annotated[float | None, typer.Option(help="With --mock: what the sphere truly measures.")] = None,
     fast: FastOption = False,
 ) -> None:
-    """Sweep a sphere (or a box's corner) from several poses and store T_flange_scanner. The arm will move."""
+    """Sweep a sphere (a box's corner, a port) from several poses and store T_flange_scanner. The arm will move."""
     from controller.calibrations.hand_eye_session import Wanted, calibrate_hand_eye, plan_hand_eye
     from perception.calibration.from_sweeps import TargetKind
     from perception.calibration.hand_eye import Asked
 
     if plan and target is not TargetName.SPHERE:
         raise InputError("--plan goes with --target sphere", remedy="Leave --plan out.")
-    kind = TargetKind(target.value, diameter_mm / 2000.0)
-    sigma_rad = float(np.deg2rad(sigma_deg))
     site = load_config(config)
+    kind = TargetKind(target.value, diameter_mm / 2000.0, site.port.model)
+    sigma_rad = float(np.deg2rad(sigma_deg))
     asked = Asked(time_offset=site.scanner.sync != "stop_and_go", speed_scale=speed_scale)
     wanted = Wanted(kind, asked, sigma_mm / 1e3, sigma_rad, max_sweeps)
     with ExitStack() as closing:
@@ -86,11 +87,16 @@ def _mock(
 
     site, pace = for_mocks(site, fast), FAST_FACTOR if fast else 1.0
     world = draw_scenario(scenario, site, load_port(site.port.model), seed)
-    world = replace(
-        world, target="sphere" if target is TargetName.SPHERE else "corner", sphere_radius_m=diameter_mm / 2000.0
-    )
+    world = replace(world, target=_IN_PLACE_OF_THE_CAR[target], sphere_radius_m=diameter_mm / 2000.0)
     wires = closing.enter_context(tempfile.TemporaryDirectory(prefix="portdock-"))
     return closing.enter_context(MockCell(Path(wires), site, world, seed, pace)).config, pace
+
+
+_IN_PLACE_OF_THE_CAR: dict[TargetName, Literal["sphere", "corner"] | None] = {
+    TargetName.SPHERE: "sphere",
+    TargetName.PLANES: "corner",
+    TargetName.PORT: None,
+}
 
 
 def _show_plan(planned: list[Planned]) -> None:

@@ -16,7 +16,6 @@ from typing import Any
 from drivers.arm import messages as m
 from drivers.arm.control_loop import ControlLoop
 from drivers.arm.worker_link import Link
-from drivers.processor_time import take_short_turns, take_usual_turns
 
 RTDE_PORT = 30004
 
@@ -70,14 +69,12 @@ class OwnSocket:
 
 def serve(connection: Connection) -> None:
     """The worker's life: start, serve, end."""
-    take_short_turns()
     link = Link(connection)
     start: m.Start = link.receive()
     link.start_beat()
     try:
         control = open_control(start)
         link.guard(OwnSocket().same)
-        take_usual_turns()  # ur_rtde's own thread keeps the short ones; this one spins until that one hears the answer
         link.send(m.Started(tuple(control.getTCPOffset())))
     except Exception as error:  # whatever the library raises belongs to the parent
         link.send(m.StartFailed(str(error)))

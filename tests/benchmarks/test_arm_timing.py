@@ -37,7 +37,7 @@ from drivers.base import (
     PlugLock,
     Proximity,
 )
-from drivers.processor_time import keep_out_of_collections, take_short_turns
+from drivers.processor_time import keep_out_of_collections, keep_time
 from tests.arm_rig import MockController, settings, until
 
 pytestmark = pytest.mark.benchmark_ratio
@@ -146,7 +146,7 @@ class Bench:
     """Mock controller, driver and supervisor at the full rate."""
 
     def __init__(self) -> None:
-        take_short_turns()  # as whoever assembles a cell does
+        keep_time()  # as whoever assembles a cell does
         self.mock = MockController("--rate", str(HZ))
         self.arm = TimedArm(settings(self.mock.host, frequency_hz=float(HZ), **PATIENT))
         self.arm.ticks = []

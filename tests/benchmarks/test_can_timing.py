@@ -24,7 +24,7 @@ from drivers.arm.ur import UrArm
 from drivers.base import ArmState, ChargerRequest, MonotonicClock
 from drivers.charger.contract import Contract
 from drivers.charger.messages import decode_status
-from drivers.processor_time import keep_out_of_collections, take_short_turns
+from drivers.processor_time import keep_out_of_collections, keep_time
 from tests.arm_rig import MockController, settings, until
 from tests.benchmarks.test_arm_timing import HZ, BareSleeps, QuietScanner, perception_like_load
 from tests.contract.charger_bench import QUICK, Bench, MockProcess
@@ -68,7 +68,7 @@ class Cell:
     """Supervisor, the charger's driver and its mock, and an arm."""
 
     def __init__(self, folder: Path, arm: Any) -> None:
-        take_short_turns()  # as whoever assembles a cell does
+        keep_time()  # as whoever assembles a cell does
         self.arm = arm
         self.charger = MockProcess(folder, "--lost-ms=5000", QUICK)
         self.link = Bench(self.charger, degraded_s=3.0, lost_s=5.0)
@@ -90,7 +90,7 @@ class Cell:
 
 @pytest.fixture
 def mock_arm() -> Iterator[MockController]:
-    take_short_turns()
+    keep_time()
     made = MockController("--rate", str(HZ))
     yield made
     made.close()

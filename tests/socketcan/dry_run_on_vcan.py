@@ -20,15 +20,15 @@ from controller.port_files import load_port
 from controller.scenarios import draw_scenario
 from controller.session import run_session
 
-PROFILE_RATE_HZ, SWEEP_MM_S = 5.0, 5.0
-"""The ray-caster shares one slow processor with everything else."""
+PACE = 0.25
+"""Emulated seconds per wall second: one slow processor has mocks, drivers and ray-caster to serve."""
+PROFILE_RATE_HZ, SWEEP_MM_S = 20.0, 20.0
 PATIENCE: dict[str, dict[str, object]] = {
     "scan": {"speed_mm_s": SWEEP_MM_S},
     "arm": {"freshness_ms": 60_000.0, "watchdog_hz": 0.02},
     "charger": {"degraded_ms": 50_000.0, "lost_ms": 60_000.0, "ack_timeout_ms": 20_000.0},
     "scanner": {"silence_ms": 60_000.0, "sync": "shared_clock"},
     "host": {"stall_ms": 60_000.0},
-    "insertion": {"contact_speed_mm_s": 3.0, "speed_limit_mm_s": 5.0},
     "mission": {"charge_s": 2.0},
 }
 
@@ -50,9 +50,9 @@ def main() -> None:
     with (
         make_display(quiet=True) as display,
         tempfile.TemporaryDirectory(prefix="portdock-") as wires,
-        MockCell(Path(wires), site, world, 0, 1.0, can, profile_rate(PROFILE_RATE_HZ)) as cell,
+        MockCell(Path(wires), site, world, 0, PACE, can, profile_rate(PROFILE_RATE_HZ)) as cell,
     ):
-        summary = run_session(cell.config, folder, display, heartbeat_mode=1, truth=world.T_base_port)
+        summary = run_session(cell.config, folder, display, pace=PACE, heartbeat_mode=1, truth=world.T_base_port)
     sys.stdout.write(json.dumps(summary.to_json()) + "\n")
 
 
