@@ -78,6 +78,9 @@ def _boot(kernel: str, modules: Path, scratch: Path, arguments: list[str]) -> in
         *("root=/dev/root", "rootfstype=hostfs", "rootflags=/", "rw", f"init={init}"),
         *("con=null", "con0=fd:0,fd:1", "quiet", f"umid=portdock{os.getpid()}", f"uml_dir={scratch}"),
     ]
+    # The kernel traces its processes: each system call passes from one to the other and back; on two processors each
+    # would wait for the other to wake.
+    os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
     with subprocess.Popen(command, stdin=subprocess.DEVNULL, start_new_session=True) as linux:
         try:
             linux.wait(TIMEOUT_S)
