@@ -27,9 +27,10 @@ long: $(STAMP)  ## what takes too long for every change
 bench: $(STAMP)  ## ratios measured in one run, on a quiet machine
 	$(BIN)/pytest tests/benchmarks -m benchmark_ratio --timeout 3600
 
-mutation: $(STAMP)  ## do the tests notice changes of states, gate and codecs? hours; table names bound at import are not changed
+mutation: $(STAMP)  ## do the tests notice changes of states, gate and codecs? an hour or more; tests/README.md says how to read it
 	$(BIN)/mutmut run --max-children 1
 	$(BIN)/mutmut results
+	$(BIN)/python tests/mutation/at_import.py
 
 test-socketcan: $(STAMP)  ## the charger's link on a real kernel's CAN, in user-mode Linux; says so when that is missing
 	$(BIN)/python tests/socketcan/run_in_uml.py
