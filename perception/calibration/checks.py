@@ -53,7 +53,7 @@ def left_out_errors_m(seen: Sightings, solved: HandEye, asked: Asked) -> Array:
         foretold = solve(seen.of(others), solved.target.of(others), solved.mounting, asked)
         left = seen.of(alone)
         distances = _seen_by(foretold.target, solved.target, alone).distances(left.in_base(foretold.mounting))
-        errors.append(float(np.linalg.norm(sweep_shifts(distances, np.ones(len(left)), left)[0])))
+        errors.append(float(np.linalg.norm(sweep_shifts(distances, left)[0])))
     return np.array(errors)
 
 

@@ -7,8 +7,10 @@ target, so what a finished cloud would have blurred (time offset, sweep speed) i
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from perception.calibration.errors import CalibrationError
 from perception.calibration.observability import refuse_undetermined
@@ -22,6 +24,8 @@ START_SCALE_M = 0.004
 LEAST_SCALE_M = 0.0003
 ROUNDS_A_SCALE = 8
 SMALL_STEP = 1e-9
+
+T = TypeVar("T", bound=Target)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -52,7 +56,7 @@ class Asked:
     speed_scale: bool = False
 
     @property
-    def columns(self) -> Array:
+    def columns(self) -> NDArray[np.bool_]:
         """(8,) which of the parameters are estimated."""
         return np.array([True] * 6 + [self.time_offset, self.speed_scale])
 
@@ -68,9 +72,29 @@ def solve(
     :raises CalibrationError: fewer points than parameters, or steps that do not settle
     """
     chosen = (asked or Asked()).columns
-    mounting, scale_m = guess, start_scale_m
     if len(seen) < 50:
         raise CalibrationError(f"{len(seen)} points lie on the target: too few")
+    mounting, target, scale_m = fitted(seen, target, guess, chosen, start_scale_m)
+    distances = target.distances(seen.in_base(mounting))
+    weights = _weights(distances.residual, scale_m)
+    jacobian = np.column_stack([mounting_jacobian(seen, mounting, distances)[:, chosen], distances.own])
+    refuse_undetermined(jacobian, weights, chosen)
+    estimated = np.flatnonzero(chosen)
+    covariance = np.zeros((8, 8))
+    covariance[np.ix_(estimated, estimated)] = uncertainty(jacobian, distances, weights, seen)[
+        : len(estimated), : len(estimated)
+    ]
+    return HandEye(mounting, target, covariance, distances.residual, weights)
+
+
+def fitted(
+    seen: Sightings, target: T, guess: Mounting, chosen: NDArray[np.bool_], start_scale_m: float
+) -> tuple[Mounting, T, float]:
+    """Mounting and target that fit best, and the scale (m) that distances were judged by in the end.
+
+    :param chosen: (8,) which of the mounting's parameters may change; whether the sweeps determine them is not asked
+    """
+    mounting, scale_m = guess, start_scale_m
     while True:
         for _ in range(ROUNDS_A_SCALE):
             distances = target.distances(seen.in_base(mounting))
@@ -82,18 +106,8 @@ def solve(
             if np.abs(step).max() < SMALL_STEP:
                 break
         if scale_m <= LEAST_SCALE_M:
-            break
+            return mounting, target, scale_m
         scale_m = max(LEAST_SCALE_M, min(0.6 * scale_m, 5.0 * _spread(distances.residual)))
-    distances = target.distances(seen.in_base(mounting))
-    weights = _weights(distances.residual, scale_m)
-    jacobian = np.column_stack([mounting_jacobian(seen, mounting, distances)[:, chosen], distances.own])
-    refuse_undetermined(jacobian, weights, chosen)
-    estimated = np.flatnonzero(chosen)
-    covariance = np.zeros((8, 8))
-    covariance[np.ix_(estimated, estimated)] = uncertainty(jacobian, distances, weights, seen)[
-        : len(estimated), : len(estimated)
-    ]
-    return HandEye(mounting, target, covariance, distances.residual, weights)
 
 
 def mounting_jacobian(seen: Sightings, mounting: Mounting, distances: Distances) -> Array:
@@ -114,7 +128,7 @@ def mounting_jacobian(seen: Sightings, mounting: Mounting, distances: Distances)
     )
 
 
-def _moved(mounting: Mounting, step: Array, chosen: Array) -> Mounting:
+def _moved(mounting: Mounting, step: Array, chosen: NDArray[np.bool_]) -> Mounting:
     full = np.zeros(8)
     full[chosen] = step
     turned = mounting.T_flange_scanner @ exp([0.0, 0.0, 0.0, *full[3:6]])

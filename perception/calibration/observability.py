@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from perception.calibration.errors import CalibrationError
 from perception.geometry import Array
@@ -22,7 +23,7 @@ REMEDIES = (
 _REMEDY_OF = (0, 0, 0, 1, 1, 1, 2, 3)
 
 
-def refuse_undetermined(jacobian: Array, weights: Array, chosen: Array) -> None:
+def refuse_undetermined(jacobian: Array, weights: Array, chosen: NDArray[np.bool_]) -> None:
     """Raises CalibrationError that names the missing motion.
 
     :param jacobian: (N, parameters chosen + target's own)
@@ -35,7 +36,7 @@ def refuse_undetermined(jacobian: Array, weights: Array, chosen: Array) -> None:
         raise CalibrationError(f"the sweeps do not determine the scanner's {name}", remedy=REMEDIES[_REMEDY_OF[worst]])
 
 
-def worst_direction(jacobian: Array, weights: Array, chosen: Array) -> tuple[float, Array]:
+def worst_direction(jacobian: Array, weights: Array, chosen: NDArray[np.bool_]) -> tuple[float, Array]:
     """The least determined direction among the mounting's parameters: its standard deviation in ``UNITS``, and itself.
 
     The target's own parameters are eliminated first (Schur complement).

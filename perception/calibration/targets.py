@@ -12,6 +12,9 @@ from scipy.spatial import cKDTree
 from perception.geometry import Array, Pose, exp
 from perception.surface import Surface
 
+LEAST_ON_FLAT = 200
+"""Points that it takes to estimate how deep a flat lies."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Distances:
@@ -123,34 +126,49 @@ class PlanesTarget:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PortTarget:
-    """A port whose model is known: distance along the normal of the nearest surface sample."""
+    """A port whose model is known: distance along the normal of the nearest surface sample.
+
+    A built port differs from its drawing most in how deep its flats lie: these depths are estimated with its pose.
+    """
 
     T_base_port: Pose
     surface: Surface
     tree: cKDTree
+    levels: Array
+    """(L,) numbers of the flats (``Surface.level``) whose depth is free; the rim plane's is not."""
+    depths_m: Array
+    """(L,) by how much they stand out of where the drawing has them."""
 
     @staticmethod
     def at(T_base_port: Pose, surface: Surface) -> PortTarget:
-        """The port at a pose in the base frame."""
-        return PortTarget(T_base_port, surface, cKDTree(surface.points))
+        """The port as drawn, at a pose in the base frame."""
+        return PortTarget(T_base_port, surface, cKDTree(surface.points), np.zeros(0), np.zeros(0))
+
+    def with_free_depths(self, points: Array) -> PortTarget:
+        """The depths of those flats free that enough of the points (N, 3; base frame) lie on."""
+        nearest = self.tree.query(self.T_base_port.inverse().apply(points), workers=2)[1]
+        numbers, counts = np.unique(self.surface.level[nearest], return_counts=True)
+        levels = numbers[(numbers > 0) & (counts > LEAST_ON_FLAT)]
+        return replace(self, levels=levels, depths_m=np.zeros(len(levels)))
 
     @property
     def parameters(self) -> int:
-        """A twist in the port frame."""
-        return 6
+        """A twist in the port frame, and the free depths."""
+        return 6 + len(self.levels)
 
     def distances(self, points: Array) -> Distances:
         """Point to plane."""
         local = self.T_base_port.inverse().apply(points)
         nearest = self.tree.query(local, workers=2)[1]
         normals = self.surface.normals[nearest]
-        residual = np.einsum("ni,ni->n", local - self.surface.points[nearest], normals)
-        own = -np.column_stack([normals, np.cross(local, normals)])
+        on_level = self.surface.level[nearest][:, None] == self.levels
+        residual = np.einsum("ni,ni->n", local - self.surface.points[nearest], normals) - on_level @ self.depths_m
+        own = -np.column_stack([normals, np.cross(local, normals), on_level])
         return Distances(residual, self.T_base_port.rotate(normals), own)
 
     def moved(self, step: Array) -> PortTarget:
-        """Translation, then rotation vector, along and about the port's axes."""
-        return replace(self, T_base_port=self.T_base_port @ exp(step))
+        """Translation, then rotation vector, along and about the port's axes; then the depths."""
+        return replace(self, T_base_port=self.T_base_port @ exp(step[:6]), depths_m=self.depths_m + step[6:])
 
     def of(self, points: NDArray[np.bool_]) -> PortTarget:
         """Points do not matter to it."""

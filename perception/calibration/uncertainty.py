@@ -12,6 +12,13 @@ from perception.calibration.sightings import Sightings
 from perception.calibration.targets import Distances
 from perception.geometry import Array
 
+LEAST_TOLD = 0.02
+"""A direction in which a sweep's points say less than this share of what they say in the best one tells no shift: few
+points on a port's walls would tell of these walls."""
+SHIFT_ROUNDS = 6
+LEAST_SCALE_M = 0.0001
+"""Points that differ by less than three times this count together."""
+
 
 def uncertainty(jacobian: Array, distances: Distances, weights: Array, seen: Sightings) -> Array:
     """Covariance (K, K) of all K columns of the Jacobian (N, K), in their own units."""
@@ -34,10 +41,22 @@ def sandwich(normal: Array, couplings: Array, noise: float, shift: float) -> Arr
     return np.asarray(bread @ meat @ bread / np.outer(scale, scale))
 
 
-def sweep_shifts(distances: Distances, weights: Array, seen: Sightings) -> Array:
+def sweep_shifts(distances: Distances, seen: Sightings) -> Array:
     """(S, 3) by how much each sweep shows the target displaced in the base frame, as far as its points tell."""
     owner = seen.sweep_of_point
-    return np.stack([_shift(distances, weights, owner == sweep)[0] for sweep in np.unique(owner)])
+    return np.stack([_robust_shift(distances, owner == sweep) for sweep in np.unique(owner)])
+
+
+def _robust_shift(distances: Distances, chosen: Array) -> Array:
+    """(3,) of those of the chosen points that agree on one."""
+    gradient, residual = distances.gradient[chosen], distances.residual[chosen]
+    weights, shift = np.ones(len(distances.residual)), np.zeros(3)
+    for _ in range(SHIFT_ROUNDS):
+        shift, _ = _shift(distances, weights, chosen)
+        left = residual - gradient @ shift
+        scale_m = max(LEAST_SCALE_M, 1.4826 * float(np.median(np.abs(left))))
+        weights[chosen] = np.clip(1.0 - (left / (3.0 * scale_m)) ** 2, 0.0, None) ** 2
+    return shift
 
 
 def _sweeps(
@@ -48,7 +67,8 @@ def _sweeps(
     for sweep in np.unique(owner):
         chosen = owner == sweep
         shift, spread = _shift(distances, weights, chosen)
-        squares.append(float(shift @ shift - noise * np.trace(spread)) / 3.0)
+        told = np.linalg.matrix_rank(spread, hermitian=True)
+        squares.append(float(shift @ shift - noise * np.trace(spread)) / max(1, told))
         couplings.append(coupling(jacobian[chosen], weights[chosen], distances.gradient[chosen]))
     return np.array(squares), np.stack(couplings)
 
@@ -61,7 +81,7 @@ def coupling(jacobian: Array, weights: Array, gradient: Array) -> Array:
 def _shift(distances: Distances, weights: Array, chosen: Array) -> tuple[Array, Array]:
     """Least-squares shift (3,) of the chosen points and its covariance for unit noise (3, 3)."""
     g, w = distances.gradient[chosen], weights[chosen]
-    spread = np.linalg.pinv((g * w[:, None]).T @ g, rcond=1e-4, hermitian=True)
+    spread = np.linalg.pinv((g * w[:, None]).T @ g, rcond=LEAST_TOLD, hermitian=True)
     return np.asarray(spread @ (g * w[:, None]).T @ distances.residual[chosen]), np.asarray(spread)
 
 
