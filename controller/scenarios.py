@@ -29,6 +29,8 @@ class Miscalibration:
     """True TCP in the configured TCP's frame."""
     joints: tuple[float, float, float, float, float, float]
     """True joint angles minus those that the arm reports, rad."""
+    compliance_rad_nm: float = 0.0
+    """Of each joint under the weight that it carries."""
 
 
 NONE = Miscalibration(Pose.identity(), Pose.identity(), (0.0,) * 6)
@@ -49,6 +51,9 @@ class Scenario:
     miscalibration: Miscalibration = NONE
 
 
+COMPLIANCE_RAD_NM = 3e-6
+"""An arm of 1.3 m reach hangs some tenths of a millimetre lower at the port than it says, half as much or half as much
+again from cell to cell."""
 UNCALIBRATED_M, UNCALIBRATED_DEG = (0.010, 0.020), (5.0, 10.0)
 """How far a scanner that was mounted by eye and tape measure sits off its nominal place."""
 UNCALIBRATED_JOINT_DEG = 0.02
@@ -100,7 +105,12 @@ def _draw_miscalibration(rng: np.random.Generator) -> Miscalibration:
         return Pose.from_rotvec(np.deg2rad(rng.normal(0.0, sigma_deg, 3)), rng.normal(0.0, sigma_m, 3))
 
     j1, j2, j3, j4, j5, j6 = rng.normal(0.0, JOINT_RAD, 6).tolist()
-    return Miscalibration(pose(HAND_EYE_M, HAND_EYE_DEG), pose(TOOL_M, TOOL_DEG), (j1, j2, j3, j4, j5, j6))
+    scanner, tool = pose(HAND_EYE_M, HAND_EYE_DEG), pose(TOOL_M, TOOL_DEG)
+    return Miscalibration(scanner, tool, (j1, j2, j3, j4, j5, j6), _draw_compliance(rng))
+
+
+def _draw_compliance(rng: np.random.Generator) -> float:
+    return COMPLIANCE_RAD_NM * float(rng.uniform(0.5, 1.5))
 
 
 def _draw_uncalibrated(rng: np.random.Generator) -> Miscalibration:
@@ -109,4 +119,4 @@ def _draw_uncalibrated(rng: np.random.Generator) -> Miscalibration:
     scanner = Pose.from_rotvec(np.deg2rad(rng.uniform(*UNCALIBRATED_DEG)) * turn, rng.uniform(*UNCALIBRATED_M) * place)
     tool = Pose.from_rotvec(np.deg2rad(rng.normal(0.0, TOOL_DEG, 3)), rng.normal(0.0, TOOL_M, 3))
     j1, j2, j3, j4, j5, j6 = np.deg2rad(rng.normal(0.0, UNCALIBRATED_JOINT_DEG, 6)).tolist()
-    return Miscalibration(scanner, tool, (j1, j2, j3, j4, j5, j6))
+    return Miscalibration(scanner, tool, (j1, j2, j3, j4, j5, j6), _draw_compliance(rng))

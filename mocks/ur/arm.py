@@ -1,7 +1,7 @@
 """The emulated arm: programmed motion, force mode, contact and force sensor, advanced in fixed steps.
 
-One step is: motion target -> force mode -> contact -> wrench. The arm follows its program exactly (no dynamics, no
-deflection of its own: the contact model's stiffness stands for arm, bracket and plug together).
+One step is: motion target -> force mode -> contact -> wrench. The arm follows its program exactly (no dynamics;
+contact does not bend it: the contact model's stiffness stands for arm, bracket and plug together).
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ import numpy as np
 
 from mocks.ur.kinematics import Kinematics
 from mocks.ur.motion import Halt, Motion, MotionError, Reference
+from mocks.ur.sag import Sag
 from mocks.ur.spatial import moved_by, twist_between
 from perception.geometry import Array
 
@@ -94,8 +95,11 @@ class Arm:
         environment: Environment,
         sensor: Sensor,
         joint_offsets: Array | None = None,
+        sag: Sag | None = None,
     ) -> None:
-        """``joint_offsets`` (6,) rad: true joint angles minus those that the arm believes and reports."""
+        """``joint_offsets`` (6,) rad: true joint angles minus those that the arm believes and reports. ``sag``: what
+        gravity adds to them; None is a rigid arm."""
+        self._sag = sag
         self._joint_offsets = None if joint_offsets is None or not joint_offsets.any() else joint_offsets
         self.reference = Reference(kinematics, q)
         self.environment = environment
@@ -122,9 +126,12 @@ class Arm:
     @property
     def T_base_flange_true(self) -> Array:
         """Where the flange really is (4, 4): by the true joint angles, which the arm itself does not know."""
-        if self._joint_offsets is None:
+        if self._joint_offsets is None and self._sag is None:
             return np.asarray(self.reference.links[5])
-        return self.reference.kinematics.flange(self.q + self._joint_offsets)
+        true = self.q if self._joint_offsets is None else self.q + self._joint_offsets
+        if self._sag is not None:
+            true = true + self._sag.deflection(true)
+        return self.reference.kinematics.flange(true)
 
     @property
     def scaling(self) -> float:

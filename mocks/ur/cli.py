@@ -19,6 +19,7 @@ from mocks.ur.control_channel import ControlChannel
 from mocks.ur.controller import Controller
 from mocks.ur.environment import PortEnvironment
 from mocks.ur.kinematics import MODELS, Kinematics
+from mocks.ur.sag import Sag
 from mocks.ur.server import UrServer
 from mocks.ur.state import Safety
 from mocks.world.blackboard import Blackboard
@@ -59,7 +60,10 @@ def build(options: argparse.Namespace) -> UrServer:
     if world is not None and board is not None:
         environment = PortEnvironment(world, board)
     offsets = None if world is None else np.array(world.joint_offsets)
-    arm = Arm(Kinematics(MODELS[model]), np.array(joints), environment, Sensor(rng, 0.3, 0.01, 3.0, 0.1), offsets)
+    kinematics, sensor = Kinematics(MODELS[model]), Sensor(rng, 0.3, 0.01, 3.0, 0.1)
+    give = 0.0 if world is None else world.joint_compliance_rad_nm
+    sag = Sag(kinematics, give) if give > 0.0 else None
+    arm = Arm(kinematics, np.array(joints), environment, sensor, offsets, sag)
     version = tuple(int(part) for part in options.version.split("."))
     controller = Controller(
         arm, (version[0], version[1], version[2], version[3]), stop_pauses=options.protective_stop == "paused"

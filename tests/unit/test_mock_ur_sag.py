@@ -1,0 +1,51 @@
+"""The emulated arm hangs lower than it says, by as much as its links' weight bends its joints; nothing tells of it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from controller.config import load_config
+from controller.port_files import load_port
+from controller.scenarios import SCENARIOS, draw_scenario
+from mocks.ur.arm import Arm, FreeSpace, Sensor
+from mocks.ur.kinematics import MODELS, Kinematics
+from mocks.ur.sag import G_M_S2, LINK_KG, TOOL_KG, Sag
+
+KINEMATICS = Kinematics(MODELS["ur10e"])
+STRETCHED = np.array([0.0, -0.3, 0.3, -1.5, -1.5, 0.0])
+
+
+def potential_j(q: np.ndarray) -> float:
+    """Of the links' weight, link by link."""
+    points = np.vstack([np.zeros(3), KINEMATICS.links(q)[:, :3, 3]])
+    middles = 0.5 * (points[:-1] + points[1:])
+    return float(G_M_S2 * (LINK_KG @ middles[:, 2] + TOOL_KG * points[-1, 2]))
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_torques_are_the_slope_of_the_potential(seed: int) -> None:
+    q = np.random.default_rng(seed).uniform(-2.0, 2.0, 6)
+    step = 1e-6
+    slope = [(potential_j(q + step * e) - potential_j(q - step * e)) / (2 * step) for e in np.eye(6)]
+    np.testing.assert_allclose(Sag(KINEMATICS, 3e-6).torques(q), -np.array(slope), atol=1e-4)
+
+
+def arm(sag: Sag | None) -> Arm:
+    return Arm(KINEMATICS, STRETCHED, FreeSpace(), Sensor(np.random.default_rng(0), 0, 0, 0, 0), sag=sag)
+
+
+def test_the_flange_hangs_lower_than_the_arm_says_and_a_rigid_one_does_not() -> None:
+    hanging, rigid = arm(Sag(KINEMATICS, 3e-6)), arm(None)
+    lower_m = rigid.T_base_flange_true[2, 3] - hanging.T_base_flange_true[2, 3]
+    assert 0.0002 < lower_m < 0.002
+    np.testing.assert_array_equal(hanging.q, rigid.q)
+    np.testing.assert_array_equal(hanging.reference.links[5], rigid.reference.links[5])
+
+
+@pytest.mark.parametrize("name", SCENARIOS)
+def test_every_scenarios_arm_gives_by_its_cells_own_measure(name: str) -> None:
+    config, port = load_config(), load_port("ccs2")
+    first, second = (draw_scenario(name, config, port, 0, cell).miscalibration.compliance_rad_nm for cell in (1, 2))
+    assert first != second
+    assert min(first, second) > 1e-6
