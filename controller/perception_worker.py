@@ -12,7 +12,7 @@ from typing import ClassVar
 import numpy as np
 
 from controller.port_models import port_model
-from drivers.processor_time import give_way
+from controller.worker_process import begin_worker
 from perception.errors import PortdockError
 from perception.estimate import PortEstimate, Prior
 from perception.geometry import Array
@@ -90,7 +90,7 @@ class _Kept:
 
 
 def _prepare(name: str) -> PreparedModel:
-    give_way()
+    begin_worker()
     _Kept.model = port_model(name)
     return PreparedModel(_Kept.model.checksum, _Kept.model.surface.points.astype(np.float64))
 

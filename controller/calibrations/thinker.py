@@ -8,7 +8,7 @@ from concurrent.futures import ProcessPoolExecutor
 from typing import ParamSpec, TypeVar
 
 from controller.cell import Cell
-from drivers.processor_time import give_way
+from controller.worker_process import begin_worker
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -19,7 +19,7 @@ class Thinker:
 
     def __init__(self) -> None:
         context = multiprocessing.get_context("spawn")
-        self._pool = ProcessPoolExecutor(1, mp_context=context, initializer=give_way)
+        self._pool = ProcessPoolExecutor(1, mp_context=context, initializer=begin_worker)
 
     def ask(self, cell: Cell, function: Callable[P, R], *args: P.args, **kwargs: P.kwargs) -> R:
         """The function's result, or what it raises. Faults of the cell end the wait."""
