@@ -3,7 +3,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 
-.PHONY: dry-run test check long bench mutation test-socketcan dry-run-socketcan setup-socketcan install clean
+.PHONY: dry-run test check long bench mutation test-socketcan setup-socketcan install clean
 
 dry-run: $(STAMP)  ## one docking cycle with mock hardware
 	$(BIN)/portdock dry-run
@@ -32,11 +32,8 @@ mutation: $(STAMP)  ## do the tests notice changes of states, gate and codecs? a
 	$(BIN)/mutmut results
 	$(BIN)/python tests/mutation/at_import.py
 
-test-socketcan: $(STAMP)  ## the charger's link on a real kernel's CAN, in user-mode Linux; says so when that is missing
+test-socketcan: $(STAMP)  ## the charger's link and a whole dry run on a real kernel's CAN, in user-mode Linux; says so when that is missing
 	$(BIN)/python tests/socketcan/run_in_uml.py
-
-dry-run-socketcan: $(STAMP)  ## one whole docking cycle with the charger on a real kernel's CAN; many minutes, on a quiet machine
-	$(BIN)/python tests/socketcan/run_in_uml.py tests/socketcan/test_dry_run_on_vcan.py
 
 SOCKETCAN_PACKAGES := user-mode-linux can-utils iproute2
 APT := $(if $(filter 0,$(shell id -u)),,sudo) apt-get -o Acquire::Retries=0 -o Acquire::http::Timeout=20

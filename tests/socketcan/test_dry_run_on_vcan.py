@@ -1,9 +1,7 @@
 """One whole dry run with the charger on the kernel's own CAN: three mock processes, the very controller, a report.
 
 This kernel has one processor, and each of its system calls costs several of the host's: see ``dry_run_on_vcan`` for the
-patience that takes, and run it on a quiet machine (`make dry-run-socketcan`); it is not among `make test-socketcan`.
-On a busy one the kernel lets a process wait for ten seconds and more; ur_rtde gives the arm's link up before that, and
-no setting of ours changes it.
+patience and the slow motion that takes. Four minutes on a quiet machine; on a busy one it may end as a lost link.
 """
 
 from __future__ import annotations
