@@ -56,6 +56,7 @@ def assemble(
     locator = PerceptionWorker(config.port.model)
     closing.callback(locator.close)
     model = locator.prepared()
+    keep_out_of_collections()
     for device in (devices.charger, devices.scanner, devices.coarse, devices.arm, devices.car):
         if device is not None:
             device.open()
@@ -64,7 +65,6 @@ def assemble(
     supervisor = Supervisor(sources, clock, wall, config.host.stall_ms / 1000.0, alive)
     supervisor.facts.mode = heartbeat_mode
     devices.charger.alert(supervisor.wake)
-    keep_out_of_collections()
     supervisor.start()
     closing.callback(supervisor.close)
     cell = cell_of(config, devices, locator, supervisor, clock, wall, evidence)

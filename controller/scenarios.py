@@ -29,7 +29,7 @@ class Miscalibration:
     """True TCP in the configured TCP's frame."""
     joints: tuple[float, float, float, float, float, float]
     """True joint angles minus those that the arm reports, rad."""
-    compliance_rad_nm: float = 0.0
+    compliance_rad_per_nm: float = 0.0
     """Of each joint under the weight that it carries."""
 
 
@@ -51,7 +51,7 @@ class Scenario:
     miscalibration: Miscalibration = NONE
 
 
-COMPLIANCE_RAD_NM = 3e-6
+COMPLIANCE_RAD_PER_NM = 3e-6
 """An arm of 1.3 m reach hangs some tenths of a millimetre lower at the port than it says, half as much or half as much
 again from cell to cell."""
 UNCALIBRATED_M, UNCALIBRATED_DEG = (0.010, 0.020), (5.0, 10.0)
@@ -110,7 +110,7 @@ def _draw_miscalibration(rng: np.random.Generator) -> Miscalibration:
 
 
 def _draw_compliance(rng: np.random.Generator) -> float:
-    return COMPLIANCE_RAD_NM * float(rng.uniform(0.5, 1.5))
+    return COMPLIANCE_RAD_PER_NM * float(rng.uniform(0.5, 1.5))
 
 
 def _draw_uncalibrated(rng: np.random.Generator) -> Miscalibration:

@@ -27,6 +27,7 @@ def keep_out_of_collections() -> None:
 
     Otherwise a full collection stops all threads for long: 0.2 s with all that a mission imports.
     """
+    gc.unfreeze()  # of an earlier call: what nobody uses any more goes now
     gc.collect()
     gc.freeze()
 
@@ -37,10 +38,11 @@ def give_way() -> None:
     It gets a session of its own: where Linux shares processors by session first (autogroup), a nice value counts only
     within one, and a session that mixes long sums with threads that wake often kept all others waiting for seconds.
     """
-    with suppress(PermissionError):  # it leads a session or a group already
+    with suppress(PermissionError):  # it leads a session already, or a group of its parent's
         os.setsid()
-    with suppress(OSError):  # a kernel without autogroups
-        Path("/proc/self/autogroup").write_text(str(NICE))
+    if os.getsid(0) == os.getpid():  # else those that keep time would give way with it
+        with suppress(OSError):  # a kernel without autogroups
+            Path("/proc/self/autogroup").write_text(str(NICE))
     for task in Path("/proc/self/task").iterdir():
         with suppress(ProcessLookupError):  # it has ended meanwhile
             thread_id = int(task.name)

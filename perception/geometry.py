@@ -72,6 +72,10 @@ class Pose:
         """``T_a_b @ T_b_c`` is ``T_a_c``."""
         return Pose(self.rotation @ other.rotation, self.rotation @ other.translation + self.translation)
 
+    def change_to(self, other: Pose) -> Array:
+        """(6,) from this pose to another of the same two frames: metres in the outer one, radians in the inner one."""
+        return np.concatenate([other.translation - self.translation, (self.inverse() @ other).rotvec])
+
     def inverse(self) -> Pose:
         """``T_b_a`` of ``T_a_b``."""
         return Pose(self.rotation.T, -self.rotation.T @ self.translation)

@@ -23,6 +23,8 @@ HAND_EYE_MM = 0.7
 """Of a scanner that was mounted by measure and not calibrated by sweeps; assumed."""
 TOOL_MM = 0.2
 """Of a tool frame from its drawing; assumed."""
+TURN_DEG = 0.3
+"""1 sigma, each axis, of a rotation that the site file or a port's description says; assumed."""
 OWN_SIGMA = "own_sigma_mm"
 """Residual of a tool found by mating: its 1 sigma without the hand-eye calibration's part."""
 

@@ -8,11 +8,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from datetime import UTC, datetime
+from datetime import datetime
 
 import numpy as np
 
-from controller.calibrations.budget import TOOL_MM, assumed_hand_eye_covariance
+from controller.calibrations.budget import TOOL_MM, TURN_DEG, assumed_hand_eye_covariance
 from controller.calibrations.record import Calibration, DeviceNames, Kind, basis, checksum_of
 from controller.config import SiteConfig
 from controller.planning import FACING
@@ -21,9 +21,6 @@ from perception.calibration.correction import corrected_hand_eye, corrected_teac
 from perception.calibration.drift import AXES, Drift
 from perception.calibration.teaching import mean_pose
 from perception.geometry import Array, Pose
-
-TURN_DEG = 0.3
-"""1 sigma, each axis, of a rotation that the site file or a port's description says; assumed."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -39,14 +36,17 @@ class Correction:
     @property
     def change(self) -> Array:
         """(6,) metres in the outer frame, radians in the inner one."""
-        turn = (self.old.pose.inverse() @ self.new.pose).rotvec
-        return np.concatenate([self.new.pose.translation - self.old.pose.translation, turn])
+        return self.old.pose.change_to(self.new.pose)
 
 
 def corrections(
-    site: SiteConfig, drifts: Sequence[Drift], in_force: Mapping[str, Calibration], devices: DeviceNames
+    site: SiteConfig,
+    drifts: Sequence[Drift],
+    in_force: Mapping[str, Calibration],
+    devices: DeviceNames,
+    now: datetime,
 ) -> Iterator[Correction]:
-    """The proposals for what the chart warns of. Pure.
+    """The proposals for what the chart warns of.
 
     :param site: with its calibrations
     :param in_force: those that are used, by slot
@@ -55,11 +55,11 @@ def corrections(
         return
     if drifts[0].cause == "hand-eye or tool":
         for kind in ("hand-eye", "tool"):
-            yield _common(kind, site, drifts, in_force, devices)
+            yield _common(kind, site, drifts, in_force, devices, now)
     if drifts[0].cause == "teaching of this port" or len(drifts) == 1:
         for drift in drifts:
             old = in_force.get(f"port-{drift.port}")
-            before = old or replace(_unmeasured("port", _plug(site, drift.port, in_force), site, devices),
+            before = old or replace(_unmeasured("port", _plug(site, drift.port, in_force), site, devices, now),
                                     port=drift.port, made_with=_basis(in_force))  # fmt: skip
             new = _corrected(before, corrected_teaching(before.pose, drift.shift), [drift])
             yield Correction(before, old is not None, replace(new, made_with=_basis(in_force)))
@@ -71,6 +71,7 @@ def _common(
     drifts: Sequence[Drift],
     in_force: Mapping[str, Calibration],
     devices: DeviceNames,
+    now: datetime,
 ) -> Correction:
     """What all ports share, off by the mean of what the ports say."""
     scanner, tool = site.scanner.T_flange_scanner.pose, site.arm.T_flange_tcp.pose
@@ -81,7 +82,7 @@ def _common(
     else:
         pose = mean_pose([corrected_tool(tool, plug, shift) for plug, shift in plugs])
     old = in_force.get(kind)
-    before = old or _unmeasured(kind, scanner if kind == "hand-eye" else tool, site, devices)
+    before = old or _unmeasured(kind, scanner if kind == "hand-eye" else tool, site, devices, now)
     if old is None and kind == "hand-eye":
         before = replace(before, latency_ms=site.scanner.latency_ms)
     return Correction(before, old is not None, _corrected(before, pose, drifts))
@@ -93,13 +94,13 @@ def _plug(site: SiteConfig, port: str, in_force: Mapping[str, Calibration]) -> P
     return load_port(port).T_port_tcp if taught is None else taught.pose
 
 
-def _unmeasured(kind: Kind, pose: Pose, site: SiteConfig, devices: DeviceNames) -> Calibration:
+def _unmeasured(kind: Kind, pose: Pose, site: SiteConfig, devices: DeviceNames, now: datetime) -> Calibration:
     """What was used without having been calibrated, as a calibration that it can be gone back to."""
     if kind == "hand-eye":
         covariance = assumed_hand_eye_covariance(site.scan.standoff_mm)
     else:
         covariance = np.diag([TOOL_MM / 1e3 / np.sqrt(3.0)] * 3 + [np.deg2rad(TURN_DEG)] * 3) ** 2
-    return Calibration(kind, pose, covariance, devices, datetime.now(UTC), (("never_measured", 1.0),),
+    return Calibration(kind, pose, covariance, devices, now, (("never_measured", 1.0),),
                        corrects=("none",))  # fmt: skip
 
 

@@ -37,7 +37,9 @@ def read_touches(path: Path) -> Touches:
         problem = str(error).replace("\n", " ")
         raise InputError(f"{path} holds no touches: {problem}", remedy=REMEDY) from error
     finite = np.isfinite(poses).all() and np.isfinite(point_mm).all()
-    if unknown or poses.ndim != 2 or poses.shape[1] != 6 or point_mm.shape != (3,) or not finite:
+    if unknown:
+        raise InputError(f"{path}: '{sorted(map(str, unknown))[0]}' is not known there", remedy=REMEDY)
+    if poses.ndim != 2 or poses.shape[1] != 6 or point_mm.shape != (3,) or not finite:
         raise InputError(f"{path} holds no touches: rows of six finite numbers are wanted", remedy=REMEDY)
     return Touches(tuple(Pose.from_rotvec(row[3:], row[:3] / 1e3) for row in poses), point_mm / 1e3)
 

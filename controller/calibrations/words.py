@@ -37,8 +37,7 @@ def pose_words(pose: Pose) -> str:
 
 def compared(old: Calibration, new: Calibration) -> Iterator[str]:
     """What has changed, and whether that is more than both are uncertain by."""
-    moved = new.pose.translation - old.pose.translation
-    turn = (old.pose.inverse() @ new.pose).rotvec
+    moved, turn = np.split(old.pose.change_to(new.pose), 2)
     sigma_mm = float(np.hypot(old.sigma_mm, new.sigma_mm))
     sigma_deg = float(np.hypot(old.sigma_deg, new.sigma_deg))
     moved_mm, turned_deg = 1e3 * float(np.linalg.norm(moved)), float(np.rad2deg(np.linalg.norm(turn)))

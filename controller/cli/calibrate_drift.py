@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Annotated
 
@@ -73,7 +74,7 @@ def _proposed(site: SiteConfig, mock_cell: int | None, found: Sequence[Drift], l
             "the docks in the chart were made with other calibrations than those in force",
             remedy="Dock with these first; the chart judges anew. Docks of a mock cell want --mock-cell.",
         )
-    return list(corrections(site, found, usable(examined), devices))
+    return list(corrections(site, found, usable(examined), devices, datetime.now(UTC)))
 
 
 def _show(proposed: Sequence[Correction]) -> None:

@@ -12,13 +12,22 @@ from typing import TYPE_CHECKING, Annotated
 import numpy as np
 import typer
 
-from controller.calibrations.budget import OWN_SIGMA, TOOL_MM, assumed_hand_eye_covariance
+from controller.calibrations.budget import OWN_SIGMA, TOOL_MM, TURN_DEG, assumed_hand_eye_covariance
 from controller.calibrations.in_force import device_names, examine_calibrations, mock_names
 from controller.calibrations.record import Calibration, DeviceNames, Kind, basis, versions_here
 from controller.calibrations.store import CalibrationStore
 from controller.calibrations.touches import read_touches
 from controller.calibrations.words import pose_words
-from controller.cli.scan import ConfigOption, FastOption, MockOption, SeedOption, cell_for, show_quarters
+from controller.cli.scan import (
+    ConfigOption,
+    FastOption,
+    MockCellOption,
+    MockOption,
+    SeedOption,
+    WorldOption,
+    cell_for,
+    show_quarters,
+)
 from controller.config import SiteConfig, load_config
 from controller.port_files import load_port
 from perception.calibration.tool import tool_point
@@ -30,8 +39,6 @@ if TYPE_CHECKING:
 
 REMADE: tuple[Kind, ...] = ("tool", "port")
 """What a new tool replaces or makes void need not be in order for it."""
-TURN_DEG = 0.3
-"""1 sigma, each axis, of a tool's rotation as the site file says it; assumed: touching one point says nothing of it."""
 
 
 def tcp(
@@ -44,8 +51,8 @@ def tcp(
     ] = None,
     mock: MockOption = False,
     seed: SeedOption = 0,
-    scenario: Annotated[str, typer.Option(help="With --mock: the world that is met.")] = "nominal",
-    mock_cell: Annotated[int | None, typer.Option(min=0, help="With --mock: which cell; the seed's own.")] = None,
+    scenario: WorldOption = "nominal",
+    mock_cell: MockCellOption = None,
     fast: FastOption = False,
 ) -> None:
     """Dock, back off, look from several sides, and store T_flange_tcp. The arm will move, but not with --touches.

@@ -21,6 +21,8 @@ ConfigOption = Annotated[Path | None, typer.Option(help="The site file.")]
 ScannerOption = Annotated[str | None, typer.Option(help="A scanner with a bundled site: profiler2, scip_profiler.")]
 MockOption = Annotated[bool, typer.Option("--mock", help="Mock devices instead of the site's.")]
 SeedOption = Annotated[int, typer.Option(min=0, help="With --mock: where the car stands, and all noise.")]
+WorldOption = Annotated[str, typer.Option(help="With --mock: one of " + ", ".join(SCENARIOS) + ".")]
+MockCellOption = Annotated[int | None, typer.Option(min=0, help="With --mock: which cell; the seed's own.")]
 FastOption = Annotated[bool, typer.Option("--fast", help=f"With --mock: {FAST_FACTOR:g} times as fast.")]
 
 
@@ -30,7 +32,7 @@ def scan(
     scanner: ScannerOption = None,
     mock: MockOption = False,
     seed: SeedOption = 0,
-    scenario: Annotated[str, typer.Option(help="With --mock: one of " + ", ".join(SCENARIOS) + ".")] = "nominal",
+    scenario: WorldOption = "nominal",
     fast: FastOption = False,
 ) -> None:
     """Sweep once over the port and record it: raw bytes, arm poses, clocks, cloud. The arm will move."""

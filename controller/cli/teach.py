@@ -15,7 +15,16 @@ from controller.calibrations.in_force import basis_in_force, device_names, exami
 from controller.calibrations.record import Calibration, versions_here
 from controller.calibrations.store import CalibrationStore
 from controller.calibrations.words import pose_words
-from controller.cli.scan import ConfigOption, FastOption, MockOption, SeedOption, cell_for, show_quarters
+from controller.cli.scan import (
+    ConfigOption,
+    FastOption,
+    MockCellOption,
+    MockOption,
+    SeedOption,
+    WorldOption,
+    cell_for,
+    show_quarters,
+)
 from controller.config import load_config
 from controller.port_files import load_port
 
@@ -25,8 +34,8 @@ def teach(
     config: ConfigOption = None,
     mock: MockOption = False,
     seed: SeedOption = 0,
-    scenario: Annotated[str, typer.Option(help="With --mock: the world that is met.")] = "nominal",
-    mock_cell: Annotated[int | None, typer.Option(min=0, help="With --mock: which cell; the seed's own.")] = None,
+    scenario: WorldOption = "nominal",
+    mock_cell: MockCellOption = None,
     fast: FastOption = False,
 ) -> None:
     """Dock by force, note where the plug is once it is locked, back off, look three times. The arm will move.

@@ -61,7 +61,7 @@ def build(options: argparse.Namespace) -> UrServer:
         environment = PortEnvironment(world, board)
     offsets = None if world is None else np.array(world.joint_offsets)
     kinematics, sensor = Kinematics(MODELS[model]), Sensor(rng, 0.3, 0.01, 3.0, 0.1)
-    give = 0.0 if world is None else world.joint_compliance_rad_nm
+    give = 0.0 if world is None else world.joint_compliance_rad_per_nm
     sag = Sag(kinematics, give) if give > 0.0 else None
     arm = Arm(kinematics, np.array(joints), environment, sensor, offsets, sag)
     version = tuple(int(part) for part in options.version.split("."))

@@ -22,9 +22,9 @@ G_M_S2 = 9.81
 class Sag:
     """Deflection of the joints by their angles."""
 
-    def __init__(self, kinematics: Kinematics, compliance_rad_nm: float) -> None:
+    def __init__(self, kinematics: Kinematics, compliance_rad_per_nm: float) -> None:
         self._kinematics = kinematics
-        self._compliance_rad_nm = compliance_rad_nm
+        self._compliance_rad_per_nm = compliance_rad_per_nm
         links = LINK_KG * kinematics.model.payload_kg / LINKS_OF_PAYLOAD_KG
         self._weight_n = G_M_S2 * np.append(links, TOOL_KG)
 
@@ -42,4 +42,4 @@ class Sag:
 
     def deflection(self, q: Array) -> Array:
         """(6,) rad by which the joints truly stand off ``q``."""
-        return self._compliance_rad_nm * self.torques(q)
+        return self._compliance_rad_per_nm * self.torques(q)

@@ -55,7 +55,7 @@ class WorldSpec:
     """Where a second, coarse scanner sits; None: there is none."""
     joint_offsets: Vector6 = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     """True joint angles minus those that the arm reports: its flange is not quite where it says."""
-    joint_compliance_rad_nm: float = 0.0
+    joint_compliance_rad_per_nm: float = 0.0
     """How far each joint gives under the weight that it carries: its flange hangs lower than the arm says."""
     start_joints: Vector6 = (0.0, -1.5708, 1.5708, -1.5708, -1.5708, 0.0)
 

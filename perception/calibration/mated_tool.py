@@ -93,7 +93,7 @@ def tool_by_mating(docks: Sequence[MatedDock], known: Known) -> MatedTool:
         raise CalibrationError("no dock to find the tool from")
     tools = [_tool(dock, look.T_base_port, known) for dock, look in looks]
     mean = mean_pose(tools)
-    off = np.stack([_difference(mean, tool) for tool in tools])
+    off = np.stack([mean.change_to(tool) for tool in tools])
     spread_m, spread_rad = (float(np.linalg.norm(part, axis=1).max()) for part in (off[:, :3], off[:, 3:]))
     if spread_m > MAX_SPREAD_M or spread_rad > MAX_SPREAD_RAD:
         raise CalibrationError(
@@ -131,11 +131,6 @@ def _refuse_poor(number: int, dock: MatedDock, T_flange_scanner: Pose) -> None:
 
 def _tool(dock: MatedDock, T_base_port: Pose, known: Known) -> Pose:
     return dock.T_base_flange_mated.inverse() @ T_base_port @ known.T_port_tcp
-
-
-def _difference(one: Pose, other: Pose) -> Array:
-    """(6,) translation in the outer frame and rotation vector in the inner one."""
-    return np.concatenate([other.translation - one.translation, (one.inverse() @ other).rotvec])
 
 
 def _pull(dock: MatedDock, look: Look, known: Known) -> Array:

@@ -197,6 +197,27 @@ def test_a_mode_that_has_just_begun_is_repeated_before_the_other_is_written_agai
     assert worker.control.names()[-3:] == ["forceMode", "forceMode", "zeroFtSensor"]
 
 
+def test_a_stop_goes_before_a_kick_that_waits_with_it(worker) -> None:
+    worker.ask(m.MoveLinear(1, POSE, 0.1, 0.5))
+    worker.until_phase("running")
+    worker.loop._pace._ready_at_s = time.monotonic() + 0.3  # both arrive while the worker waits for the script
+    time.sleep(0.02)  # ten rounds of the loop: it waits by now
+    worker.line.send(m.Kick())
+    worker.ask(m.Stop(1.0, 0.1))
+    worker.until_called("kickWatchdog")
+    names = worker.control.names()
+    assert names.index("stopL") < names.index("kickWatchdog")
+
+
+def test_after_a_command_that_is_answered_the_script_gets_time_to_be_ready(worker) -> None:
+    worker.loop._pace._get_ready_s = 0.2
+    worker.ask(m.MoveLinear(1, POSE, 0.1, 0.5))
+    answered_s = time.monotonic()
+    worker.line.send(m.Kick())
+    worker.until_called("kickWatchdog")
+    assert time.monotonic() - answered_s > 0.15
+
+
 def test_motions_are_asynchronous(worker) -> None:
     worker.ask(m.MoveLinear(1, POSE, 0.1, 0.5))
     assert worker.control.calls[-1] == ("moveL", list(POSE), 0.1, 0.5, True)

@@ -46,6 +46,6 @@ def test_the_flange_hangs_lower_than_the_arm_says_and_a_rigid_one_does_not() -> 
 @pytest.mark.parametrize("name", SCENARIOS)
 def test_every_scenarios_arm_gives_by_its_cells_own_measure(name: str) -> None:
     config, port = load_config(), load_port("ccs2")
-    first, second = (draw_scenario(name, config, port, 0, cell).miscalibration.compliance_rad_nm for cell in (1, 2))
+    first, second = (draw_scenario(name, config, port, 0, cell).miscalibration.compliance_rad_per_nm for cell in (1, 2))
     assert first != second
     assert min(first, second) > 1e-6

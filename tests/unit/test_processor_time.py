@@ -76,3 +76,34 @@ keep_out_of_collections()
 print(json.dumps([gc.get_freeze_count(), len(gc.get_objects())]))
 """)
     assert kept > 10_000 > looked_through
+
+
+def test_a_second_call_lets_go_of_what_nobody_uses_any_more() -> None:
+    assert asked("""
+import weakref
+class Knot:
+    pass
+knot = Knot()
+knot.itself = knot
+seen = weakref.ref(knot)
+keep_out_of_collections()
+del knot
+keep_out_of_collections()
+print(json.dumps(seen() is None))
+""")
+
+
+def test_whoever_keeps_time_in_the_same_session_does_not_give_way_with_it() -> None:
+    if not Path("/proc/self/autogroup").exists():
+        pytest.skip("SKIPPED LOUDLY: this kernel has no autogroups")
+    answer = asked("""
+os.setsid()
+child = os.fork()
+if child == 0:
+    os.setpgid(0, 0)  # a group's leader cannot begin a session
+    give_way()
+    os._exit(0)
+os.waitpid(child, 0)
+print(json.dumps(open("/proc/self/autogroup").read().split()))
+""")
+    assert answer[-2:] == ["nice", "0"]
