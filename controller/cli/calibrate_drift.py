@@ -37,6 +37,8 @@ def drift(
     site = load_config(config)
     folder = Path(site.calibration.folder)
     logged = read_docks(folder)
+    if not logged and accept is not None:
+        raise InputError(f"there are no docks in {folder / NAME}: nothing is proposed", remedy="Dock some times first.")
     if not logged:
         typer.echo(f"{folder / NAME}: no docks yet")
         return

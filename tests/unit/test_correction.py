@@ -18,6 +18,7 @@ from controller.config import SiteConfig, load_config
 from controller.port_files import load_port
 from perception.calibration.correction import corrected_hand_eye, corrected_teaching, corrected_tool
 from perception.calibration.drift import Dock
+from perception.errors import InputError
 from perception.geometry import Pose, exp
 
 SHIFT = np.array([0.0005, -0.0002, 0.0001, 0.002, -0.001, 0.005])
@@ -119,6 +120,12 @@ def test_one_port_of_two_gets_its_teaching_corrected_and_nothing_else() -> None:
     _, told = drift()
     assert "--accept port-ccs2" in told
     assert "--accept hand-eye" not in told
+
+
+def test_accepting_without_any_dock_is_refused() -> None:
+    told = CliRunner().invoke(app, ["calibrate", "drift", "--accept", "tool"])
+    assert isinstance(told.exception, InputError)
+    assert "no docks" in told.exception.cause
 
 
 def test_docks_that_were_made_with_other_calibrations_propose_nothing() -> None:

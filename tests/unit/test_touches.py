@@ -77,9 +77,20 @@ def test_poor_touches_are_refused_and_the_old_tool_stays_in_force(values: list[l
 
 
 @pytest.mark.parametrize(
-    "text", ["", "[1]", "flange_mm_rad: 5", "flange_mm_rad: [[1, 2, 3]]", "flange_mm_rad: [[.nan, 0, 0, 0, 0, 0]]", "{"]
+    ("text", "why"),
+    [
+        ("", "no key 'flange_mm_rad'"),
+        ("[1]", "no key 'flange_mm_rad'"),
+        ("flange_mm: [[1, 2, 3, 0, 0, 0]]", "no key 'flange_mm_rad'"),
+        ("{flange_mm_rad: [[900, 0, 0, 0, 0, 0]], point: [0, 0, 0]}", "'point' is not known"),
+        ("flange_mm_rad: 5", "six finite numbers"),
+        ("flange_mm_rad: [[1, 2, 3]]", "six finite numbers"),
+        ("flange_mm_rad: [[.nan, 0, 0, 0, 0, 0]]", "six finite numbers"),
+        ("flange_mm_rad: [[0.9, 0.1, 0.4, 0, 0, 0]]", "no arm reaches like that"),
+        ("{", "is no YAML file"),
+    ],
 )
-def test_a_file_without_touches_is_refused(text: str) -> None:
+def test_a_file_without_touches_is_refused_with_the_reason(text: str, why: str) -> None:
     Path("touches.yaml").write_text(text)
-    with pytest.raises(InputError, match="holds no touches"):
+    with pytest.raises(InputError, match=why):
         read_touches(Path("touches.yaml"))
