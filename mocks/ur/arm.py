@@ -12,10 +12,10 @@ from typing import Protocol
 
 import numpy as np
 
+from mocks.spatial import moved_by, twist_between
 from mocks.ur.kinematics import Kinematics
 from mocks.ur.motion import Halt, Motion, MotionError, Reference
 from mocks.ur.sag import Sag
-from mocks.ur.spatial import moved_by, twist_between
 from perception.geometry import Array
 
 PAUSE_RAMP_S = 0.1
@@ -117,6 +117,8 @@ class Arm:
         self.history: deque[Array] = deque(maxlen=HISTORY_STEPS)
         self.contact_steps = 0
         self._path: Reference | None = None
+        self._true_at: Array | None = None
+        self._T_base_flange_true = np.eye(4)
 
     @property
     def q(self) -> Array:
@@ -128,10 +130,12 @@ class Arm:
         """Where the flange really is (4, 4): by the true joint angles, which the arm itself does not know."""
         if self._joint_offsets is None and self._sag is None:
             return np.asarray(self.reference.links[5])
-        true = self.q if self._joint_offsets is None else self.q + self._joint_offsets
-        if self._sag is not None:
-            true = true + self._sag.deflection(true)
-        return self.reference.kinematics.flange(true)
+        if self._true_at is not self.q:  # joints are replaced, never changed: asked for several times in each step
+            true = self.q if self._joint_offsets is None else self.q + self._joint_offsets
+            if self._sag is not None:
+                true = true + self._sag.deflection(true)
+            self._true_at, self._T_base_flange_true = self.q, self.reference.kinematics.flange(true)
+        return self._T_base_flange_true
 
     @property
     def scaling(self) -> float:

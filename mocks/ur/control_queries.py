@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from mocks.spatial import matrix_of, pose_of
 from mocks.ur.kinematics import JOINT_LIMIT_RAD
-from mocks.ur.spatial import matrix_of, pose_of
 from perception.geometry import Array
 
 if TYPE_CHECKING:

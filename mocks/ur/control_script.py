@@ -13,12 +13,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from mocks.spatial import matrix_of
 from mocks.ur.arm import ForceMode
 from mocks.ur.control_queries import QUERIES
 from mocks.ur.motion import Halt, JointMove, JointVelocity, LinearMove, Motion, Servo, ToolVelocity
 from mocks.ur.program import Thread, ThreadedProgram
 from mocks.ur.script_text import moves_in
-from mocks.ur.spatial import matrix_of
 from perception.geometry import Array
 
 if TYPE_CHECKING:

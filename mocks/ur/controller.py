@@ -12,13 +12,13 @@ from collections.abc import Callable
 
 import numpy as np
 
+from mocks.spatial import pose_of
 from mocks.ur import inputs
 from mocks.ur.arm import Arm
 from mocks.ur.control_script import ControlScript
 from mocks.ur.custom_script import CustomScript
 from mocks.ur.motion import MotionError
 from mocks.ur.program import Program, ScriptError
-from mocks.ur.spatial import pose_of
 from mocks.ur.state import (
     SAFETY_BITS,
     InputsOutputs,

@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from mocks.spatial import matrix_of
 from mocks.ur.motion import Halt, JointVelocity, ToolVelocity
 from mocks.ur.program import Thread, ThreadedProgram
 from mocks.ur.script_text import Call, parse_call
-from mocks.ur.spatial import matrix_of
 from mocks.ur.state import REGISTERS
 from perception.geometry import Array
 

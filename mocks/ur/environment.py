@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from mocks.ur.spatial import inverse_of, matrix_of
+from mocks.spatial import inverse_of, matrix_of
 from mocks.world import contact
 from mocks.world.blackboard import Blackboard
 from mocks.world.spec import WorldSpec

@@ -11,8 +11,8 @@ from typing import Protocol
 
 import numpy as np
 
+from mocks.spatial import inverse_of, moved_by, twist_between
 from mocks.ur.kinematics import JOINT_LIMIT_RAD, Kinematics
-from mocks.ur.spatial import inverse_of, moved_by, twist_between
 from perception.geometry import Array
 
 MAX_JOINT_SPEED_RAD_S = math.pi

@@ -11,10 +11,10 @@ from __future__ import annotations
 import math
 import struct
 
+from mocks.spatial import pose_of
 from mocks.ur.controller import Controller
 from mocks.ur.script_server import ScriptClient
 from mocks.ur.sockets import Connection
-from mocks.ur.spatial import pose_of
 from mocks.ur.state import PowerMode, RuntimeState, Safety
 
 PERIOD_S = 0.1

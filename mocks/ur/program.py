@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
+from mocks.spatial import inverse_of
 from mocks.ur.motion import Motion
-from mocks.ur.spatial import inverse_of
 from perception.geometry import Array
 
 if TYPE_CHECKING:

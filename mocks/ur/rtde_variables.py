@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mocks.ur.spatial import pose_of
+from mocks.spatial import pose_of
 from mocks.ur.state import BITS, REGISTERS
 
 if TYPE_CHECKING:

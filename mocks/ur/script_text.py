@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mocks.spatial import matrix_of
 from mocks.ur.motion import JointMove, LinearMove, Motion
 from mocks.ur.program import ThreadedProgram
-from mocks.ur.spatial import matrix_of
 from perception.geometry import Array
 
 _CALL = re.compile(r"^\s*(\w+)\((.*)\)\s*$")

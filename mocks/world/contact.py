@@ -17,8 +17,8 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
+from mocks.spatial import rotvec_of
 from mocks.world.blackboard import PlugState
 from perception.geometry import Array, Pose
 
@@ -129,7 +129,7 @@ def misalignment(T_port_tcp: Array, port: Port) -> Misalignment:
     """Misalignment of a plug at ``T_port_tcp`` (4, 4)."""
     mated = port.T_port_tcp
     offset = T_port_tcp[:3, 3] - mated.translation
-    rotvec = Rotation.from_matrix(T_port_tcp[:3, :3] @ mated.rotation.T).as_rotvec()
+    rotvec = rotvec_of(T_port_tcp[:3, :3] @ mated.rotation.T)
     return Misalignment(port.mated_depth_m - float(offset[2]), offset[:2].copy(), rotvec)
 
 

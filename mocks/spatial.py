@@ -1,4 +1,4 @@
-"""Small rotation algebra for the emulated controller's step, which runs hundreds of times a second.
+"""Small rotation algebra for what the mocks do hundreds of times a second: a library's checks would cost more.
 
 Poses are (4, 4); a pose vector is UR's p[x, y, z, rx, ry, rz] with a rotation vector in radians.
 """
