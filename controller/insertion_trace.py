@@ -68,11 +68,14 @@ class Trace:
             states = [self._cell.arm.state()]
         for state in states:
             self._newest_s, self._last_state = state.time_s, state
-            self.samples.append(sample(state, self._plan))
-        last = self.samples[-1]
-        if abs(last.depth_m - self._progress_depth_m) > self._progress_m:
-            self._progress_depth_m, self._progress_s = last.depth_m, last.time_s
-        return last
+            self._add(sample(state, self._plan))
+        return self.last
+
+    def _add(self, new: Sample) -> None:
+        """Progress is judged sample by sample: it must not depend on when somebody looks, or a replay would differ."""
+        self.samples.append(new)
+        if abs(new.depth_m - self._progress_depth_m) > self._progress_m:
+            self._progress_depth_m, self._progress_s = new.depth_m, new.time_s
 
     @property
     def last(self) -> Sample:

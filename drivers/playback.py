@@ -72,8 +72,14 @@ class Playback:
         queues = (self._cues.get(kind, deque()) for kind in kinds) if kinds else self._cues.values()
         return min((times[0] for times in queues if times), default=math.inf)
 
-    def skip_past_cues(self, kind: str) -> None:
-        """Forget cues of this kind that lie before now."""
+    def skip_cues(self, kind: str, before_s: float) -> None:
+        """Forget cues of this kind that lie before a recorded time."""
         left = self._cues.get(kind, deque())
-        for _ in list(takewhile(lambda time_s: time_s < self._now_s, left)):
+        for _ in list(takewhile(lambda time_s: time_s < before_s, left)):
+            left.popleft()
+
+    def skip_cue(self, kind: str) -> None:
+        """Forget the next cue of this kind, if there is one: it was done at another time than in the recording."""
+        left = self._cues.get(kind)
+        if left:
             left.popleft()

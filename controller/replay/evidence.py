@@ -82,8 +82,8 @@ class ReplayEvidence:
             expected = self._expected_steps[number]
             if (expected.from_state, expected.event, expected.to_state) != (source, event, target):
                 raise EndOfRecording(f"{source} -> {target} was not the next transition")
+            self._playback.skip_cues(WAIT, expected.time_s)  # of a wait that ended otherwise here, by a stop perhaps
         self._playback.did(STATE)
-        self._playback.skip_past_cues(WAIT)
         self.show(target)
 
     def estimate(self, estimate: PortEstimate) -> None:

@@ -1,7 +1,9 @@
 """The supervisor of a replay: the same tick, interlocks and waits, but time passes only while the mission waits.
 
-A wait of the recording ended at a known time. Here it ends there too, if what is waited for has come by then; if it
-has not, the recording is played on, and when that goes on for too long the two have parted.
+A wait of the recording ended at a known time; within a state, the first wait here is the first one there, and so on.
+Here it ends there too, if what is waited for has come by then. If it has not, the recording is played on in small steps
+(the arm's samples carry the time that its clock tells, not that of their arrival: some came a little earlier), and when
+that goes on for too long the two have parted.
 """
 
 from __future__ import annotations
@@ -19,6 +21,8 @@ from drivers.playback import EndOfRecording, Playback
 
 EARLY_S = 2.0
 """What has come so much before the recording's wait ended is waited for with it."""
+NEAR_S, NEAR_STEP_S = 0.05, 0.001
+"""So long after the recorded end of a wait, and in such steps, what was waited for is expected at any moment."""
 PATIENCE_S = 15.0
 """So long may something be overdue: a link's silence shows by its age only."""
 
@@ -43,7 +47,6 @@ class ReplaySupervisor(Supervisor):
     def wait(self, until: Callable[[], bool], timeout_s: float | None = None) -> bool:
         """As in the mission, in recorded time. Raises EndOfRecording when the recording has no more to say."""
         end_s = None if timeout_s is None else self._clock.now_s() + timeout_s
-        self._playback.skip_past_cues(WAIT)
         recorded_s = self._playback.next_cue_s(WAIT)
         overdue_s = min(recorded_s, self._playback.next_cue_s()) + PATIENCE_S
         while True:
@@ -54,13 +57,14 @@ class ReplaySupervisor(Supervisor):
             now_s = self._playback.now_s()
             if now_s > overdue_s:
                 raise EndOfRecording("the mission goes on waiting where the recorded one went on")
-            self._pass_time(min(now_s + TICK_S, recorded_s) if recorded_s > now_s else now_s + TICK_S)
+            self._pass_time(_next_look_s(now_s, recorded_s))
 
     def _let_end(self, until: Callable[[], bool], recorded_s: float) -> bool:
         """Stay until the recorded end of the wait if it is near, and look once more at what came meanwhile."""
-        now_s = self._playback.now_s()
-        if now_s <= recorded_s <= now_s + EARLY_S:
+        if recorded_s <= self._playback.now_s() + EARLY_S:
             self._playback.did(WAIT)
+        else:
+            self._playback.skip_cue(WAIT)
         return until()
 
     def _raise_interruptions(self) -> None:
@@ -72,9 +76,13 @@ class ReplaySupervisor(Supervisor):
         self.raise_if_paused()
 
     def wait_ticks(self, count: int) -> None:
-        """Let ``count`` ticks pass. Raises MissionFault as soon as one trips."""
+        """Let ``count`` ticks pass, not beyond the end of the wait that follows. Raises MissionFault as one trips.
+
+        The recorded mission's ticks may have come closer together: a wake makes one come early.
+        """
         for _ in range(count):
-            self._pass_time(self._playback.now_s() + TICK_S)
+            next_s = self._playback.next_cue_s(WAIT)
+            self._pass_time(min(self._playback.now_s() + TICK_S, max(next_s, self._playback.now_s())))
             if self._trip is not None:
                 raise MissionFault(self._trip.code, self._trip.detail)
 
@@ -99,3 +107,10 @@ class ReplaySupervisor(Supervisor):
 
     def _late_s(self, due_s: float) -> float:
         return 0.0  # ticks come when the replay lets them: that the recorded process stalled is not played back
+
+
+def _next_look_s(now_s: float, recorded_s: float) -> float:
+    """When a wait looks next at what it waits for: each tick, at its recorded end, and often soon after that."""
+    if now_s < recorded_s:
+        return min(now_s + TICK_S, recorded_s)
+    return now_s + (NEAR_STEP_S if now_s < recorded_s + NEAR_S else TICK_S)

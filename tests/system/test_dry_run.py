@@ -13,6 +13,7 @@ from pathlib import Path
 import pytest
 
 from controller.recording.reader import read_recording
+from controller.replay.replay import replay
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(400)]
 
@@ -52,6 +53,13 @@ def dry_run(folder: Path, scenario: str, seed: int = 0, *options: str) -> Run:
     return Run(done.returncode, json.loads(done.stdout), out, done.stderr)
 
 
+def assert_replays(run: Run) -> None:
+    """The same controller, locator included, does the same again from what was recorded."""
+    result = replay(read_recording(run.folder / "mission.mcap"))
+    assert result.difference is None, f"{result.difference} {result.ended}"
+    assert list(result.states) == run.states
+
+
 def test_a_range_finder_looks_first_and_the_profiler_docks(tmp_path: Path) -> None:
     """The car stands centimetres off: the coarse sweep finds it, from there on everything is as usual."""
     run = dry_run(tmp_path, "nominal", 1, "--scanner", "scip_profiler")
@@ -84,6 +92,7 @@ def test_a_nominal_cycle_charges_and_leaves_its_evidence(tmp_path: Path) -> None
     assert recording.scanner_chunks() and recording.can_frames() and recording.arm_states()
     assert all(d.allowed for d in recording.decisions())
     assert Path(run.result["report"]).stat().st_size > 10_000
+    assert_replays(run)
 
 
 def test_without_a_port_the_mission_is_refused_and_the_arm_stays_at_staging(tmp_path: Path) -> None:
@@ -91,6 +100,7 @@ def test_without_a_port_the_mission_is_refused_and_the_arm_stays_at_staging(tmp_
     assert (run.code, run.result["outcome"], run.result["fault"]) == (1, "refused", "port-not-found"), run.stderr
     assert "APPROACHING" not in run.states
     assert run.result["locate"] is None or not run.result["locate"]["accepted"]
+    assert_replays(run)
 
 
 def test_a_poor_first_scan_is_refused_and_the_second_viewpoint_succeeds(tmp_path: Path) -> None:
@@ -98,6 +108,7 @@ def test_a_poor_first_scan_is_refused_and_the_second_viewpoint_succeeds(tmp_path
     assert (run.code, run.result["outcome"]) == (0, "charged"), run.stderr
     assert run.states.count("SCANNING") == 2
     assert run.states[2:9] == ["STAGING", "SCANNING", "LOCATING", "STAGING", "SCANNING", "LOCATING", "APPROACHING"]
+    assert_replays(run)
 
 
 def test_a_blocked_port_is_left_along_the_inserted_axis_and_a_person_is_asked_for(tmp_path: Path) -> None:
@@ -109,6 +120,7 @@ def test_a_blocked_port_is_left_along_the_inserted_axis_and_a_person_is_asked_fo
     assert run.result["contact"]["along_mm"] > 30.0
     assert run.result["contact"]["peak_force_n"] < 88.0
     assert len(read_recording(Path(run.result["recording"])).contacts()) == 3
+    assert_replays(run)
 
 
 def test_a_dry_run_that_is_killed_leaves_no_mock_behind_and_a_recording_that_can_be_read(tmp_path: Path) -> None:

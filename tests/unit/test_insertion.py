@@ -396,17 +396,18 @@ def draw(rng: np.random.Generator, spread: float) -> Pose:
         lateral_mm, tilt_deg = spread * rng.uniform(-2.4, 2.4, 2), spread * rng.uniform(-2.1, 2.1, 2)
         roll_deg = spread * rng.uniform(-3.3, 3.3)
         gaps = (np.linalg.norm(lateral_mm) - 2.5, np.linalg.norm(tilt_deg) - 2.5, abs(roll_deg) - 3.0)
-        if min(abs(gap) for gap in gaps) > 0.15:
+        if min(abs(gap) for gap in gaps) > 0.25:  # force control on a noisy sensor drifts by 0.2 mm now and then
             return Pose.from_rotvec(np.deg2rad([*tilt_deg, roll_deg]), [*(lateral_mm / 1000.0), 0.0])
 
 
 def campaign(folder: Path, count: int, spread: float) -> list[tuple[bool, Insertion, bool, float]]:
     """(predicted to mate from the misalignment alone, result, truly seated, peak force) of each insertion."""
     rng, done = np.random.default_rng(11), []
-    for _ in range(count):
+    for number in range(count):
         error = draw(rng, spread)
         blocked = 0.02 if rng.uniform() < 0.1 else None
-        rig = InsertionRig(folder, error, rng, blocked_depth_m=blocked, start_mm=5.0)
+        noise = np.random.default_rng([11, number])  # its own: how long an insertion takes must not choose the next one
+        rig = InsertionRig(folder, error, noise, blocked_depth_m=blocked, start_mm=5.0)
         port = contact.Port(Pose.from_vector(rig.world.T_port_tcp), blocked_depth_m=blocked)
         plug = contact.misalignment((rig.truth.inverse() @ rig.plan.pre_contact).matrix, port)
         predicted = contact.predict_outcome(plug, port) == "mates"

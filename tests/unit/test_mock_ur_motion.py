@@ -10,10 +10,10 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
+from mocks.spatial import matrix_of, moved_by, pose_of, rotation_of, rotvec_of
 from mocks.ur.arm import Arm, ForceMode, FreeSpace, Sensor
 from mocks.ur.kinematics import MODELS, Kinematics
 from mocks.ur.motion import Halt, JointMove, LinearMove, MotionError, Servo, ToolVelocity
-from mocks.spatial import matrix_of, moved_by, pose_of, rotation_of, rotvec_of
 
 JOINTS = np.array([0.3, -1.4, 1.6, -1.2, -1.5, 0.2])
 DT = 0.008
