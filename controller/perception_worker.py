@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import multiprocessing
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import ClassVar, TypeVar
 
 import numpy as np
 
@@ -20,6 +20,8 @@ from perception.locate import locate
 from perception.port_model import PortModel
 from perception.rough import RoughPlace, find_roughly
 from perception.scan import Cloud, merge
+
+Value = TypeVar("Value")
 
 
 class PerceptionError(PortdockError):
@@ -75,12 +77,20 @@ class PerceptionHere:
 
     def submit(self, clouds: Sequence[Cloud], prior: Prior) -> Future[PortEstimate]:
         """Located on return."""
-        future: Future[PortEstimate] = Future()
-        try:
-            future.set_result(_locate(tuple(clouds), prior))
-        except Exception as error:
-            future.set_exception(error)
-        return future
+        return _at_once(lambda: _locate(tuple(clouds), prior))
+
+    def submit_rough(self, cloud: Cloud, prior: Prior) -> Future[RoughPlace]:
+        """Found on return."""
+        return _at_once(lambda: _find_roughly(cloud, prior))
+
+
+def _at_once(work: Callable[[], Value]) -> Future[Value]:
+    future: Future[Value] = Future()
+    try:
+        future.set_result(work())
+    except Exception as error:
+        future.set_exception(error)
+    return future
 
 
 class _Kept:

@@ -33,7 +33,8 @@ from drivers.charger.traffic import CanTraffic as CanTraffic
 from drivers.charger.traffic import listen_to_bus, listen_to_file
 from drivers.playback import Playback
 from drivers.scanner.framed import FramedScanner, FramedTimeouts
-from drivers.scanner.played_line import TX, PlayedLine, PlayedScanner
+from drivers.scanner.played_line import Dialogue, PlayedLine
+from drivers.scanner.played_scanners import PlayedProfiler2, PlayedScanner, PlayedScip
 from drivers.scanner.profiler2 import Profiler2, Profiler2Settings
 from drivers.scanner.scip import ScipScanner, ScipSettings
 from drivers.scanner.serial_link import SerialSettings
@@ -82,47 +83,66 @@ def build_played_devices(
 
     ``heard_s``: bus traffic up to here was heard before the mission began. Raises ConfigError and file errors.
     """
-    if config.coarse is not None:
-        raise ConfigError("a mission with a coarse stage cannot be replayed", remedy="`portdock recording` shows it.")
-    scanner = config.scanner
-    if scanner.protocol != "framed":
-        raise ConfigError(
-            f"a mission with a scanner that speaks {scanner.protocol} cannot be replayed",
-            remedy="Only scanners that stream frames (scanner.protocol: framed) can.",
-        )
-    chunks = [(chunk.host_time_ns, chunk.data) for chunk in recording.scanner_chunks("rx")]
-    playback.cue(TX, [chunk.host_time_ns * 1e-9 for chunk in recording.scanner_chunks("tx")])
-    line = partial(PlayedLine, playback=playback, chunks=chunks)
-    serial, layout = SerialSettings(scanner.device, scanner.baud_rate), load_scanner(scanner.format).layout
-    timeouts = FramedTimeouts(silence_s=scanner.silence_ms / 1000.0)
     bus = partial(PlayedBus, playback=playback, frames=recording.can_frames(), early_s=heard_s)
-    taken = [(sweep.time_s, sweep.profiles) for sweep in recording.sweeps()]
     windows = [Window(sweep.arm_first_s, sweep.arm_last_s) for sweep in recording.sweeps()]
     settings = _arm_settings(config)
     links = PlayedLinks(settings, playback, recording.arm_states(), recording.arm_commands(), windows)
+    coarse = None if config.coarse is None else _played_scanner(config.coarse.scanner, recording, playback, coarse=True)
     return Devices(
-        scanner=PlayedScanner(serial, layout, sink, playback, timeouts, connect=line, taken=taken),
+        scanner=_played_scanner(config.scanner, recording, playback, coarse=False),
         arm=UrArm(settings, sink, playback, links),
         charger=CanCharger(_can_settings(config), playback, sink, bus),
+        coarse=coarse,
     )
+
+
+def _played_scanner(config: ScannerConfig, recording: Recording, playback: Playback, *, coarse: bool) -> Scanner:
+    sides: tuple[Direction, Direction] = ("rx", "tx")
+    rx, tx = ([(c.host_time_ns, c.data) for c in recording.scanner_chunks(side, coarse=coarse)] for side in sides)
+    dialogue = Dialogue("coarse tx" if coarse else "scanner tx", rx, tx)
+    taken = [(sweep.time_s, sweep.profiles) for sweep in recording.sweeps()]
+    serial = SerialSettings(config.device, config.baud_rate)
+    driver: Scanner
+    match config.protocol:
+        case "profiler2":
+            driver = PlayedProfiler2(serial, _profiler2_settings(config), playback, dialogue, taken)
+        case "scip":
+            driver = PlayedScip(serial, _scip_settings(config), NullSink(), playback, dialogue)
+        case _:
+            line = partial(PlayedLine, playback=playback, dialogue=dialogue)
+            layout, timeouts = load_scanner(config.format).layout, _framed_timeouts(config)
+            driver = FramedScanner(serial, layout, NullSink(), playback, timeouts, connect=line)
+    return PlayedScanner(driver, playback, taken)
 
 
 def build_scanner(scanner: ScannerConfig, sink: ByteSink, clock: Clock) -> Scanner:
     """The driver of the configured protocol. Opens nothing; raises ScannerFileError."""
     serial = SerialSettings(scanner.device, scanner.baud_rate)
-    silence_s = scanner.silence_ms / 1000.0
-    if scanner.protocol == "profiler2":
-        own = scanner.profiler2
-        settings = Profiler2Settings(
-            own.reference_mm / 1000.0, own.y_away, own.thinning, own.address_in_words, own.tolerant, silence_s=silence_s
-        )
-        return Profiler2(serial, settings, sink, clock)
-    if scanner.protocol == "scip":
-        turning = scanner.scip
-        steps = turning.first_step, turning.last_step, turning.cluster, turning.skip
-        scip = ScipSettings(*steps, turning.intensity, turning.two_characters, silence_s=silence_s)
-        return ScipScanner(serial, scip, sink, clock)
-    return FramedScanner(serial, load_scanner(scanner.format).layout, sink, clock, FramedTimeouts(silence_s=silence_s))
+    match scanner.protocol:
+        case "profiler2":
+            return Profiler2(serial, _profiler2_settings(scanner), sink, clock)
+        case "scip":
+            return ScipScanner(serial, _scip_settings(scanner), sink, clock)
+        case _:
+            layout = load_scanner(scanner.format).layout
+            return FramedScanner(serial, layout, sink, clock, _framed_timeouts(scanner))
+
+
+def _profiler2_settings(scanner: ScannerConfig) -> Profiler2Settings:
+    own, silence_s = scanner.profiler2, scanner.silence_ms / 1000.0
+    return Profiler2Settings(
+        own.reference_mm / 1000.0, own.y_away, own.thinning, own.address_in_words, own.tolerant, silence_s=silence_s
+    )
+
+
+def _scip_settings(scanner: ScannerConfig) -> ScipSettings:
+    own, silence_s = scanner.scip, scanner.silence_ms / 1000.0
+    steps = own.first_step, own.last_step, own.cluster, own.skip
+    return ScipSettings(*steps, own.intensity, own.two_characters, silence_s=silence_s)
+
+
+def _framed_timeouts(scanner: ScannerConfig) -> FramedTimeouts:
+    return FramedTimeouts(silence_s=scanner.silence_ms / 1000.0)
 
 
 def _arm_settings(config: SiteConfig) -> UrSettings:

@@ -90,11 +90,12 @@ class Recording:
         """The state trace."""
         return self._decode(schemas.STATE, messages.decode_transition)
 
-    def scanner_chunks(self, direction: Direction | None = None) -> list[ScannerChunk]:
-        """The serial line's bytes in both directions or one, in order of time."""
+    def scanner_chunks(self, direction: Direction | None = None, *, coarse: bool = False) -> list[ScannerChunk]:
+        """The serial line's bytes in both directions or one, in order of time; of the coarse scanner's if asked for."""
         chunks: list[ScannerChunk] = []
-        sides: tuple[tuple[Direction, schemas.Topic], ...] = (("rx", schemas.SCANNER_RX), ("tx", schemas.SCANNER_TX))
-        for side, topic in sides:
+        topics = (schemas.COARSE_RX, schemas.COARSE_TX) if coarse else (schemas.SCANNER_RX, schemas.SCANNER_TX)
+        sides: tuple[Direction, Direction] = ("rx", "tx")
+        for side, topic in zip(sides, topics, strict=True):
             if direction in (None, side):
                 chunks += [ScannerChunk(side, *parts) for parts in self._decode(topic, decode_scanner_bytes)]
         return sorted(chunks, key=lambda chunk: chunk.host_time_ns)

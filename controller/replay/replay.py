@@ -8,10 +8,12 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Protocol
 
 from controller import wiring
 from controller.assembly import cell_of, mated_pose
 from controller.cell import Locator
+from controller.looking import Looking
 from controller.mission import Mission
 from controller.pace import PacedClock
 from controller.perception_worker import PerceptionHere
@@ -20,10 +22,12 @@ from controller.recording.reader import Recording
 from controller.replay.evidence import ReplayEvidence
 from controller.replay.story import Story, story_of
 from controller.replay.ticking import ReplaySupervisor
+from controller.rough_look import CoarseStage
 from controller.states import State
 from controller.supervisor import Sources
 from drivers.playback import EndOfRecording, Playback
 from perception.estimate import PortEstimate, Prior
+from perception.rough import RoughPlace
 from perception.scan import Cloud
 
 log = logging.getLogger(__name__)
@@ -45,11 +49,21 @@ class ReplayResult:
     """Whether the recording has an end; a cut one is compared as far as it goes."""
 
 
+class _Perception(Locator, Protocol):
+    """What a replay asks: for the port, and for where it roughly is."""
+
+    def submit_rough(self, cloud: Cloud, prior: Prior) -> Future[RoughPlace]: ...
+
+
 class _Recorded:
     """Perception that answers as it did: what then differs is the controller's doing."""
 
-    def __init__(self, recording: Recording, evidence: ReplayEvidence) -> None:
-        self._answers, self._evidence = recording.estimates(), evidence
+    def __init__(self, recording: Recording, evidence: ReplayEvidence, model: str) -> None:
+        self._answers, self._evidence, self._model = recording.estimates(), evidence, model
+
+    def submit_rough(self, cloud: Cloud, prior: Prior) -> Future[RoughPlace]:
+        """Found anew: it decides where the precise scanner looks, and is not recorded."""
+        return PerceptionHere(self._model).submit_rough(cloud, prior)
 
     def submit(self, clouds: Sequence[Cloud], prior: Prior) -> Future[PortEstimate]:
         """The recorded answer that comes next. Raises EndOfRecording after the last."""
@@ -74,7 +88,9 @@ def replay(
     evidence.show = show
     ended = ""
     with tempfile.TemporaryDirectory(prefix="portdock-replay-") as memory:
-        locator = _Recorded(recording, evidence) if recorded_estimates else _perception(story)
+        locator: _Perception = (
+            _Recorded(recording, evidence, story.config.port.model) if recorded_estimates else _perception(story)
+        )
         mission = _mission(recording, story, playback, evidence, locator, Path(memory))
         try:
             _run(mission, story)
@@ -113,15 +129,17 @@ def _mission(
     story: Story,
     playback: Playback,
     evidence: ReplayEvidence,
-    locator: Locator,
+    locator: _Perception,
     memory: Path,
 ) -> Mission:
     config = story.config
     clock = PacedClock(story.pace, playback)
     devices = wiring.build_played_devices(config, recording, evidence, playback, story.heard_s)
-    for device in (devices.charger, devices.scanner, devices.arm):
-        device.open()
+    for device in (devices.charger, devices.scanner, devices.coarse, devices.arm):
+        if device is not None:
+            device.open()
     sources = Sources(devices.arm, devices.charger, devices.scanner)
     supervisor = ReplaySupervisor(sources, clock, playback, config.host.stall_ms / 1000.0, story)
     cell = cell_of(config, devices, locator, supervisor, clock, playback, evidence)
-    return Mission(cell, config, mated_pose(config), evidence, memory)
+    coarse = None if devices.coarse is None else CoarseStage(devices.coarse, locator.submit_rough)
+    return Mission(cell, config, mated_pose(config), evidence, memory, lambda: Looking(cell, config, coarse))

@@ -5,13 +5,12 @@ from __future__ import annotations
 import logging
 import threading
 from collections import deque
-from collections.abc import Callable
 from dataclasses import dataclass
 
 from drivers.base import ByteSink, Clock, LinkHealth, LinkLostError
 from drivers.frame_format import Command, FrameFormat
 from drivers.scanner.frame_parser import FrameParser
-from drivers.scanner.serial_link import SerialLink, SerialSettings
+from drivers.scanner.serial_link import Connect, SerialLink, SerialSettings
 from perception.scan import Profile
 
 logger = logging.getLogger(__name__)
@@ -43,7 +42,7 @@ class FramedScanner:
         timeouts: FramedTimeouts | None = None,
         *,
         queue_profiles: int = 8192,
-        connect: Callable[[SerialSettings, ByteSink, Callable[[bytes, int], None]], SerialLink] = SerialLink,
+        connect: Connect = SerialLink,
     ) -> None:
         """``connect``: what makes the line; a replay gives one that plays recorded bytes."""
         self._settings = settings
@@ -150,7 +149,7 @@ class FramedScanner:
         with self._changed:
             while ack not in self._parser.acks:
                 left = deadline - self._clock.now_s()
-                if left <= 0 or not self._link.is_open:
+                if left <= 0 or not self._link.may_answer:
                     return False
                 self._changed.wait(min(left, 0.05))
             self._parser.acks.remove(ack)

@@ -3,40 +3,52 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 from drivers.base import ByteSink
-from drivers.frame_format import FrameFormat
 from drivers.playback import Playback
-from drivers.scanner.framed import FramedScanner, FramedTimeouts
-from drivers.scanner.serial_link import SerialLink, SerialSettings
-from perception.scan import Profile
+from drivers.scanner.serial_link import OnBytes, SerialLink, SerialSettings
 
-TX = "scanner tx"
-"""Cue: something was written to the line."""
+
+@dataclass(frozen=True, slots=True)
+class Dialogue:
+    """What went over one line: chunks as they were read or written, with the host's monotonic ns, in order of time."""
+
+    name: str
+    """Of the line: what is written to it are the playback's cues of this kind."""
+    rx: Sequence[tuple[int, bytes]]
+    tx: Sequence[tuple[int, bytes]]
+
+    def between(self, after_s: float, until_s: float) -> Dialogue:
+        """The part of it after one time and up to another."""
+        parts = ([c for c in side if after_s < c[0] * 1e-9 <= until_s] for side in (self.rx, self.tx))
+        return Dialogue(self.name, *parts)
 
 
 class PlayedLine(SerialLink):
     """Chunks as they were read, with their times. What is written goes nowhere."""
 
     def __init__(
-        self,
-        settings: SerialSettings,
-        sink: ByteSink,
-        on_bytes: Callable[[bytes, int], None],
-        playback: Playback,
-        chunks: Sequence[tuple[int, bytes]],
+        self, settings: SerialSettings, sink: ByteSink, on_bytes: OnBytes, playback: Playback, dialogue: Dialogue
     ) -> None:
-        """``chunks``: (host's monotonic ns, bytes read then)."""
         super().__init__(settings, sink, on_bytes)
-        self._playback = playback
+        self._playback, self._name = playback, dialogue.name
         self._opened = False
-        playback.play((time_ns * 1e-9, lambda c=chunk, t=time_ns: on_bytes(c, t)) for time_ns, chunk in chunks)  # type: ignore[misc]
+        self._last_s = dialogue.rx[-1][0] * 1e-9 if dialogue.rx else 0.0
+        begun_s = playback.now_s()
+        playback.cue(self._name, [time_ns * 1e-9 for time_ns, _ in dialogue.tx if time_ns * 1e-9 >= begun_s])
+        playback.play((time_ns * 1e-9, lambda c=chunk, t=time_ns: on_bytes(c, t)) for time_ns, chunk in dialogue.rx)  # type: ignore[misc]
 
     @property
     def is_open(self) -> bool:
         """Between ``open`` and ``close``."""
         return self._opened
+
+    @property
+    def may_answer(self) -> bool:
+        """No: an answer that was recorded has come by the time ``write`` returns."""
+        return False
 
     def open(self) -> None:
         """Nothing to open."""
@@ -48,40 +60,7 @@ class PlayedLine(SerialLink):
 
     def write(self, data: bytes) -> None:
         """On to when this was written, and to where the mission went on after the answer."""
-        if self._playback.next_cue_s(TX) < float("inf"):
-            self._playback.did(TX)
+        if self._playback.next_cue_s(self._name) < math.inf:
+            self._playback.did(self._name)
         after_s = self._playback.next_cue_s()
-        if after_s < float("inf"):
-            self._playback.run_until(after_s)
-
-
-class PlayedScanner(FramedScanner):
-    """The real driver; of each sweep it hands over as many profiles as the recorded mission fetched."""
-
-    def __init__(
-        self,
-        settings: SerialSettings,
-        layout: FrameFormat,
-        sink: ByteSink,
-        playback: Playback,
-        timeouts: FramedTimeouts,
-        *,
-        connect: Callable[[SerialSettings, ByteSink, Callable[[bytes, int], None]], SerialLink],
-        taken: Sequence[tuple[float, int]],
-    ) -> None:
-        """``taken``: (time at which a sweep was over, profiles fetched for it)."""
-        super().__init__(settings, layout, sink, playback, timeouts, connect=connect)
-        self._playback, self._taken = playback, taken
-        self._left = math.inf
-
-    def start(self) -> None:
-        """Laser on, as recorded."""
-        self._left = next((count for time_s, count in self._taken if time_s > self._playback.now_s()), math.inf)
-        super().start()
-
-    def take(self) -> list[Profile]:
-        """Profiles since the last call, as long as the recorded sweep took some."""
-        profiles = super().take()
-        kept = profiles[: int(min(self._left, len(profiles)))]
-        self._left -= len(kept)
-        return kept
+        self._playback.run_until(after_s if after_s < math.inf else self._last_s)

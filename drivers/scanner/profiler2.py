@@ -73,6 +73,7 @@ class Profiler2:
         self._time = ClockUnwrapper(TIME)
         self._profiles: deque[Profile] = deque(maxlen=queue_profiles)
         self._asking: threading.Thread | None = None
+        self._on = False
         self._stopping = threading.Event()
         self._number = 0
         self._dropped = 0
@@ -93,20 +94,25 @@ class Profiler2:
         """Begin to ask for profiles. Raises LinkLostError if the device does not answer."""
         if self._asking is not None:
             return
-        try:
-            self._line.ask(codec.encode(codec.GET_PROFILE_ADDRESS), codec.GET_PROFILE_ADDRESS)
-        except CommandRejectedError as error:
-            raise LinkLostError(error.cause, remedy=error.remedy) from error
+        self._begin()
         self._profiles.clear()
         self._stopping.clear()
         self._failure = ""
         self._started_s = self._clock.now_s()
+        self._on = True
         self._asking = threading.Thread(target=self._ask_on, name="profiler2", daemon=True)
         self._asking.start()
+
+    def _begin(self) -> None:
+        try:
+            self._line.ask(codec.encode(codec.GET_PROFILE_ADDRESS), codec.GET_PROFILE_ADDRESS)
+        except CommandRejectedError as error:
+            raise LinkLostError(error.cause, remedy=error.remedy) from error
 
     def stop(self) -> None:
         """Stop asking; what was taken before can still be fetched. Idempotent, never raises."""
         self._stopping.set()
+        self._on = False
         if self._asking is not None:
             self._asking.join()
             self._asking = None
@@ -115,7 +121,7 @@ class Profiler2:
         """Profiles since the last call. Raises LinkLostError for a broken line or a device that stopped answering."""
         silent_s = self._silent_s()
         reason = self._line.lost or ""
-        if not reason and self._asking is not None and silent_s > self._settings.silence_s:
+        if not reason and self._on and silent_s > self._settings.silence_s:
             reason = f"gave no profile for {silent_s:.1f} s {self._failure}".strip()
         if reason:
             raise LinkLostError(f"scanner line {self._line.device} {reason}")
@@ -123,7 +129,7 @@ class Profiler2:
 
     def health(self) -> LinkHealth:
         """Up: the line is open and, while asking, profiles keep coming."""
-        fresh = self._asking is None or self._silent_s() <= self._settings.silence_s
+        fresh = not self._on or self._silent_s() <= self._settings.silence_s
         counters = (*self._line.counters, ("profiles", self._number - self._dropped), ("lost", self._dropped))
         return LinkHealth(self._line.is_open and fresh, self._last_good_s, counters, self._line.lost or self._failure)
 
@@ -133,18 +139,22 @@ class Profiler2:
     def _ask_on(self) -> None:
         last_time: int | None = None
         while not self._stopping.is_set() and self._line.is_open:
-            try:
-                ticks, profile = self._profile(last_time)
-            except DriverError as error:
-                self._failure = error.cause
-                self._number += 1  # a profile was there and is lost: the gap shows
-                self._dropped += 1
-                logger.warning("profile dropped: %s", error)
-                continue
-            last_time = ticks
-            if profile is not None:
-                self._profiles.append(profile)
-                self._last_good_s = self._clock.now_s()
+            last_time = self._ask_for_one(last_time)
+
+    def _ask_for_one(self, last_time: int | None) -> int | None:
+        """Keep the next profile, if there is a new one; its time stamp, or that of the last one that was read."""
+        try:
+            ticks, profile = self._profile(last_time)
+        except DriverError as error:
+            self._failure = error.cause
+            self._number += 1  # a profile was there and is lost: the gap shows
+            self._dropped += 1
+            logger.warning("profile dropped: %s", error)
+            return last_time
+        if profile is not None:
+            self._profiles.append(profile)
+            self._last_good_s = self._clock.now_s()
+        return ticks
 
     def _profile(self, last_time: int | None) -> tuple[int, Profile | None]:
         """The newest profile, None if it is the last one again. Raises DriverError if it could not be read whole."""

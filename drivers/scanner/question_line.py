@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from drivers.base import ByteSink, Clock, CommandRejectedError, LinkLostError, ProtocolError
 from drivers.scanner import profiler2_codec as codec
 from drivers.scanner.profiler2_codec import Packet, PacketReader, Words
-from drivers.scanner.serial_link import SerialLink, SerialSettings
+from drivers.scanner.serial_link import Connect, SerialLink, SerialSettings
 
 logger = logging.getLogger(__name__)
 
@@ -26,7 +26,15 @@ class QuestionLine:
     """A Profiler 2's line: sends packets, matches answers by command, length and echoed address."""
 
     def __init__(
-        self, serial: SerialSettings, sink: ByteSink, clock: Clock, answer_s: float, attempts: int, tolerant: bool
+        self,
+        serial: SerialSettings,
+        sink: ByteSink,
+        clock: Clock,
+        answer_s: float,
+        attempts: int,
+        tolerant: bool,
+        *,
+        connect: Connect = SerialLink,
     ) -> None:
         self.device = serial.device
         self._clock = clock
@@ -36,7 +44,7 @@ class QuestionLine:
         self._reader = PacketReader(tolerant)
         self._arrived: list[tuple[Packet, float]] = []
         self._changed = threading.Condition()
-        self._link = SerialLink(serial, sink, self._on_bytes)
+        self._link = connect(serial, sink, self._on_bytes)
         self._timeouts = 0
         self._strays = 0
 
@@ -103,7 +111,7 @@ class QuestionLine:
                         return Answer(packet.words, host_s)
                     self._strays += 1
                 left_s = deadline - self._clock.now_s()
-                if left_s <= 0 or not self._link.is_open:
+                if left_s <= 0 or not self._link.may_answer:
                     return None
                 self._changed.wait(min(left_s, 0.05))
 

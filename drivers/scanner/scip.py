@@ -18,7 +18,7 @@ from drivers.frame_format import CounterField
 from drivers.scanner import scip_codec as codec
 from drivers.scanner.counters import ClockUnwrapper, SequenceTracker
 from drivers.scanner.scip_codec import Reply, ReplyReader
-from drivers.scanner.serial_link import SerialLink, SerialSettings
+from drivers.scanner.serial_link import Connect, SerialLink, SerialSettings
 from perception.geometry import Array
 from perception.scan import Profile
 
@@ -75,11 +75,12 @@ class ScipScanner:
         clock: Clock,
         *,
         queue_profiles: int = 4096,
+        connect: Connect = SerialLink,
     ) -> None:
         self._device = serial.device
         self._settings = settings
         self._clock = clock
-        self._link = SerialLink(serial, sink, self._on_bytes)
+        self._link = connect(serial, sink, self._on_bytes)
         self._reader = ReplyReader()
         self._time = ClockUnwrapper(TIME)
         self._order = SequenceTracker(TIME)
@@ -126,7 +127,11 @@ class ScipScanner:
         self._link.close()
 
     def start(self) -> None:
-        """Laser on, scans flow. Raises LinkLostError if the device refuses."""
+        """Laser on, scans flow. Raises LinkLostError if the device refuses.
+
+        The geometry is asked for once more: the bytes of each sweep are then understood without those before.
+        """
+        self._geometry = geometry_of(self.ask("PP"))
         if self.ask("BM").status not in (codec.OK, "02"):
             raise LinkLostError(f"the laser of {self._device} does not come on: malfunction")
         settings = self._settings
@@ -211,7 +216,7 @@ class ScipScanner:
                         self._answers.remove(reply)
                         return reply
                 left_s = deadline - self._clock.now_s()
-                if left_s <= 0 or not self._link.is_open:
+                if left_s <= 0 or not self._link.may_answer:
                     return None
                 self._changed.wait(min(left_s, 0.05))
 

@@ -24,6 +24,8 @@ from drivers.base import ByteSink, LinkLostError, LinkOpenError
 logger = logging.getLogger(__name__)
 
 CHUNK_BYTES = 65536
+OnBytes = Callable[[bytes, int], None]
+"""Told a chunk and the host's monotonic ns at which it was read."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,7 +44,7 @@ class SerialSettings:
 class SerialLink:
     """One open serial line with its reader thread. ``on_bytes(chunk, host_time_ns)`` is called on that thread."""
 
-    def __init__(self, settings: SerialSettings, sink: ByteSink, on_bytes: Callable[[bytes, int], None]) -> None:
+    def __init__(self, settings: SerialSettings, sink: ByteSink, on_bytes: OnBytes) -> None:
         self._settings = settings
         self._sink = sink
         self._on_bytes = on_bytes
@@ -60,6 +62,11 @@ class SerialLink:
     def is_open(self) -> bool:
         """Whether the line was opened, not closed since, and is not broken."""
         return self._port is not None and self._lost is None
+
+    @property
+    def may_answer(self) -> bool:
+        """Whether it makes sense to go on waiting for an answer."""
+        return self.is_open
 
     def open(self) -> None:
         """Open the device and start reading. Raises LinkOpenError; does nothing if already open."""
@@ -171,3 +178,7 @@ def _open_error(settings: SerialSettings, error: Exception) -> LinkOpenError:
 
 def _first_line(error: Exception) -> str:
     return str(error).splitlines()[0] if str(error) else type(error).__name__
+
+
+Connect = Callable[[SerialSettings, ByteSink, OnBytes], SerialLink]
+"""Makes a line that is not open yet: a real one, or one that plays a recording."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +14,10 @@ from controller.recording.reader import read_recording
 from controller.recording.recorder import Recorder
 from controller.scanner_files import load_scanner
 from drivers.base import ByteSink, MonotonicClock, NullSink, Scanner
+from drivers.playback import Playback
 from drivers.scanner.framed import FramedScanner, FramedTimeouts
+from drivers.scanner.played_line import Dialogue, PlayedLine
+from drivers.scanner.played_scanners import PlayedProfiler2, PlayedScanner, PlayedScip, Taken
 from drivers.scanner.profiler2 import Profiler2, Profiler2Settings
 from drivers.scanner.scip import ScipScanner, ScipSettings
 from drivers.scanner.serial_link import SerialSettings
@@ -88,6 +92,70 @@ def test_a_device_that_is_asked_answers_the_recorded_questions(
     for a, b in zip(first, second, strict=True):
         assert a.device_time_s == b.device_time_s
         np.testing.assert_array_equal(a.points, b.points)
+
+
+def dialogue_of(file: Path) -> Dialogue:
+    recording = read_recording(file)
+    rx, tx = ([(c.host_time_ns, c.data) for c in recording.scanner_chunks(side)] for side in ("rx", "tx"))  # type: ignore[arg-type]
+    return Dialogue("tx", rx, tx)
+
+
+def played_framed(dialogue: Dialogue, playback: Playback, taken: Taken) -> Scanner:
+    line = partial(PlayedLine, playback=playback, dialogue=dialogue)
+    layout = load_scanner("wide_xz").layout
+    return FramedScanner(SerialSettings("", 3_000_000), layout, NullSink(), playback, connect=line)
+
+
+def played_profiler2(dialogue: Dialogue, playback: Playback, taken: Taken) -> Scanner:
+    return PlayedProfiler2(SerialSettings("", 921_600), Profiler2Settings(thinning=8), playback, dialogue, taken)
+
+
+def played_scip(dialogue: Dialogue, playback: Playback, taken: Taken) -> Scanner:
+    return PlayedScip(SerialSettings("", 750_000), ScipSettings(), NullSink(), playback, dialogue)
+
+
+@pytest.mark.parametrize(
+    ("protocol", "scanner", "played"),
+    [("framed", framed, played_framed), ("profiler2", profiler2, played_profiler2), ("scip", scip, played_scip)],
+)
+def test_in_recorded_time_the_driver_gives_each_profile_when_it_came(
+    tmp_path: Path,
+    protocol: str,
+    scanner: Callable[[Path, ByteSink], Scanner],
+    played: Callable[[Dialogue, Playback, Taken], Scanner],
+) -> None:
+    """Two sweeps; the played driver is opened late, as for a mission whose recording begins with its job."""
+    file, dev, clock = tmp_path / "sweep.mcap", tmp_path / "dev", MonotonicClock()
+    recorder, sweeps, asked_to_stop_s, over_s = Recorder(file, clock), [], [], []
+    with mock(dev, "--protocol", protocol):
+        live = scanner(dev, recorder)
+        live.open()
+        opened_s = clock.now_s()
+        for _ in range(2):
+            live.start()
+            profiles = take(live, 4)
+            asked_to_stop_s.append(clock.now_s())
+            live.stop()
+            sweeps.append(profiles + live.take())
+            over_s.append(clock.now_s())
+        live.close()
+    recorder.close()
+    playback = Playback(opened_s)
+    taken = [(time_s, len(profiles)) for time_s, profiles in zip(over_s, sweeps, strict=True)]
+    again = PlayedScanner(played(dialogue_of(file), playback, taken), playback, taken)
+    again.open()
+    assert again.health().up
+    for profiles, stop_s, end_s in zip(sweeps, asked_to_stop_s, over_s, strict=True):
+        again.start()
+        early = again.take()
+        assert all(profile.time_s <= playback.now_s() for profile in early)
+        playback.run_until(stop_s)
+        again.stop()
+        playback.run_until(end_s)
+        late = again.take()
+        for a, b in zip(profiles, early + late, strict=True):
+            assert (a.time_s, a.device_time_s) == (b.time_s, b.device_time_s)
+            np.testing.assert_array_equal(a.points, b.points)
 
 
 def test_a_client_that_says_something_else_ends_the_replay_with_exit_code_1(tmp_path: Path) -> None:

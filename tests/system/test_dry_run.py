@@ -69,6 +69,7 @@ def test_a_range_finder_looks_first_and_the_profiler_docks(tmp_path: Path) -> No
     recording = read_recording(run.folder / "mission.mcap")
     assert len(recording.topics["/coarse/rx"]) > 50
     assert any(report.link == "coarse" for report in recording.links())
+    assert_replays(run)
 
 
 @pytest.mark.long
