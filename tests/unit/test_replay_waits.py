@@ -1,0 +1,66 @@
+"""A replay's waits are matched with the recorded ones by order; what is a little late is looked for again at once."""
+
+from __future__ import annotations
+
+import pytest
+
+from controller.config import load_config
+from controller.replay.evidence import WAIT
+from controller.replay.story import Story
+from controller.replay.ticking import ReplaySupervisor
+from controller.states import State
+from controller.supervisor import Sources
+from controller.task import Goal
+from drivers.playback import EndOfRecording, Playback
+from tests.unit.mission_rig import StandInArm, StandInCharger, StandInScanner
+
+
+def supervisor(waits_s: list[float]) -> tuple[ReplaySupervisor, Playback]:
+    config, playback = load_config(), Playback(0.0)
+    playback.cue(WAIT, waits_s)
+    story = Story(config, 1.0, Goal.CYCLE, State.OFFLINE, 0.0, (), "", 100.0, True)
+    arm = StandInArm(config.port.T_base_port.pose)
+    sources = Sources(arm, StandInCharger(arm), StandInScanner())
+    return ReplaySupervisor(sources, playback, playback, 0.5, story), playback
+
+
+def test_a_wait_ends_when_the_recorded_one_did() -> None:
+    waiting, playback = supervisor([1.0, 2.0])
+    assert waiting.wait(lambda: playback.now_s() >= 0.3)
+    assert playback.now_s() == 1.0
+    assert waiting.wait(lambda: True)
+    assert playback.now_s() == 2.0
+
+
+def test_ticks_that_are_waited_for_do_not_run_past_the_wait_after_them() -> None:
+    """Recorded ticks may have come early: three of them took 28 ms, not 30, and two waits ended within the rest."""
+    waiting, playback = supervisor([0.0281, 0.0282, 5.0])
+    waiting.wait_ticks(3)
+    assert playback.now_s() == 0.0281
+    waiting.wait(lambda: True)
+    waiting.wait(lambda: True)
+    assert playback.now_s() == 0.0282
+
+
+def test_a_wait_that_takes_a_little_longer_leaves_the_next_ones_end_to_the_next() -> None:
+    waiting, playback = supervisor([1.0, 1.002, 3.0])
+    assert waiting.wait(lambda: playback.now_s() >= 1.0045)
+    assert playback.now_s() == pytest.approx(1.005), "looked again each millisecond"
+    assert waiting.wait(lambda: True)
+    assert playback.now_s() == pytest.approx(1.005), "that is over, the time does not go back"
+    assert waiting.wait(lambda: True)
+    assert playback.now_s() == 3.0
+
+
+def test_what_is_known_long_before_the_recorded_end_is_not_waited_for() -> None:
+    waiting, playback = supervisor([10.0, 11.0])
+    assert waiting.wait(lambda: True)
+    assert playback.now_s() == 0.0
+    assert playback.next_cue_s(WAIT) == 11.0
+
+
+def test_a_wait_for_what_never_comes_ends_the_replay() -> None:
+    waiting, playback = supervisor([1.0])
+    with pytest.raises(EndOfRecording, match="goes on waiting"):
+        waiting.wait(lambda: False)
+    assert playback.now_s() > 10.0
