@@ -31,6 +31,59 @@ def walk(start: State, sequence: list[Event]) -> list[State]:
     return passed
 
 
+def test_numbers_and_words_are_those_that_heartbeats_and_recordings_carry() -> None:
+    """A number on the bus means the same to every charger that is out there, a word the same in every old recording."""
+    assert {state.name: int(state) for state in State} == {
+        "OFFLINE": 0,
+        "SELF_CHECK": 1,
+        "READY": 2,
+        "STAGING": 3,
+        "SCANNING": 4,
+        "LOCATING": 5,
+        "APPROACHING": 6,
+        "INSERTING": 7,
+        "VERIFYING": 8,
+        "CHARGING": 9,
+        "RELEASING": 10,
+        "RETREATING": 11,
+        "HOLD": 12,
+        "FAULT": 15,
+    }
+    assert {event.name: event.value for event in Event} == {
+        "STARTED": "started",
+        "CHECKS_PASSED": "checks passed",
+        "CHARGING_FOUND": "charging found at start",
+        "DOCK_REQUESTED": "dock requested",
+        "UNDOCK_REQUESTED": "undock requested",
+        "AT_STAGING": "at staging",
+        "SCAN_COMPLETE": "scan complete",
+        "LOCATED": "located",
+        "NEXT_VIEWPOINT": "not located, next viewpoint",
+        "NOT_LOCATED": "not located, viewpoints used up",
+        "AT_PRE_CONTACT": "at pre-contact",
+        "SEATED": "seated",
+        "NOT_INSERTED": "not inserted",
+        "MATED": "mated",
+        "NOT_MATED": "not mated",
+        "CHARGE_COMPLETE": "charge complete",
+        "RELEASED": "released",
+        "RETREATED": "retreated",
+        "RETREATED_TO_RETRY": "retreated, next attempt",
+        "PAUSED": "paused",
+        "RESUMED": "resumed",
+        "RESET": "operator's reset",
+        "SHUT_DOWN": "shut down",
+        "STOP": "stop requested",
+        "ABORT": "abort requested",
+        "ESTOP": "emergency stop",
+        "PROTECTIVE_STOP": "protective stop",
+        "LINK_LOST": "link lost",
+        "CHARGER_FAULT": "charger fault",
+        "DEADLINE": "deadline passed",
+        "FAILED": "check failed",
+    }
+
+
 @given(st.sampled_from(State), st.sampled_from(Event))
 def test_every_pair_of_state_and_event_is_decided(state: State, event: Event) -> None:
     assert isinstance(next_state(state, event), State)
