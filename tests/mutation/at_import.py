@@ -77,7 +77,10 @@ def left_alone(body: list[ast.stmt]) -> Iterator[ast.AST]:
             if statement.decorator_list:
                 yield from (inner for inner in statement.body if not _is_docstring(inner))
         elif not isinstance(statement, ast.Import | ast.ImportFrom) and not _says_nothing(statement):
-            yield statement.value or statement if isinstance(statement, ast.AnnAssign) else statement
+            if not isinstance(statement, ast.AnnAssign):
+                yield statement
+            elif statement.value is not None:  # types alone change nothing when the program runs
+                yield statement.value
 
 
 def changes(tree: ast.Module) -> Iterator[tuple[ast.AST, str, object]]:
