@@ -13,7 +13,7 @@ from controller.safety import CONTACT_DEPTH_M, LIVE_CURRENT_A, STILL_M_S, Situat
 from controller.states import State
 from drivers.base import ChargerRequest, PlugLock, Proximity
 from perception.geometry import Pose
-from tests.unit.test_safety import CHARGER, LIMITS, arm_at, compliance, rule, said, situation, tcp_at
+from tests.unit.test_safety import CHARGER, LIMITS, MOTIONS, arm_at, compliance, rule, said, situation, tcp_at
 
 ORIGIN = Pose.identity()
 """A port at the base, facing up: what is computed from it has no rounding."""
@@ -164,6 +164,23 @@ def test_each_request_is_made_in_its_own_states_and_in_no_other(request_: Charge
     in_and_locked = replace(situation(state, proximity=Proximity.LATCHED, lock=PlugLock.LOCKED), mated=True)
     allowed = rule(AskCharger(request_), in_and_locked) is None
     assert allowed is (state in REQUESTED_IN[request_])
+
+
+MOVED_IN = {
+    State.STAGING: {"MoveJoints", "MoveLinear"},
+    State.SCANNING: {"MoveLinear"},
+    State.APPROACHING: {"MoveJoints", "MoveLinear"},
+    State.INSERTING: {"MoveVelocity", "Comply"},
+    State.VERIFYING: {"Comply"},
+    State.RETREATING: {"MoveLinear", "Comply"},
+}
+
+
+@pytest.mark.parametrize("state", list(State))
+@pytest.mark.parametrize("command", MOTIONS, ids=lambda command: type(command).__name__)
+def test_each_kind_of_motion_is_one_of_its_own_states_and_of_no_other(command: Command, state: State) -> None:
+    known = rule(command, situation(state)) != "state"
+    assert known is (type(command).__name__ in MOVED_IN.get(state, set()))
 
 
 # --- an inserted plug -----------------------------------------------------------------------------------------------
