@@ -12,6 +12,7 @@ from controller.faults import Outcome
 from controller.insertion import Insertion
 from controller.recording.reader import Recording
 from controller.recording.values import Decision, Located, Scanned, Transition
+from controller.states import State
 from controller.task import Goal, Progress
 from drivers.base import ArmCommandRecord, ArmState, CanFrame, Direction
 from drivers.playback import EndOfRecording, Playback
@@ -19,6 +20,8 @@ from perception.estimate import PortEstimate
 from perception.scan import Cloud
 
 DECISION, STATE, ESTIMATE, WAIT = "decision", "state", "estimate", "wait"
+_SAFE = {("StopMotion", ""), ("Laser", "off"), ("Announce", "none")}
+"""Decisions that a mission still makes on its way into FAULT."""
 
 
 class ReplayEvidence:
@@ -62,6 +65,14 @@ class ReplayEvidence:
     def scans(self) -> list[Scanned]:
         """The joined clouds."""
         return self._scans
+
+    def coming_fault(self) -> Transition | None:
+        """The recording's next transition, if it leads to FAULT and nothing is decided before but what makes safe."""
+        coming = self._expected_steps[len(self._steps) : len(self._steps) + 1]
+        if not coming or coming[0].to_state != State.FAULT.name:
+            return None
+        before = [one for one in self._expected_decisions[len(self._decisions) :] if one.time_s < coming[0].time_s]
+        return coming[0] if all((one.name, one.detail) in _SAFE for one in before) else None
 
     # --- CommandLog and Watcher ---------------------------------------------------------------------------------------
 

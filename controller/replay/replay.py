@@ -66,12 +66,11 @@ class _Recorded:
         return PerceptionHere(self._model).submit_rough(cloud, prior)
 
     def submit(self, clouds: Sequence[Cloud], prior: Prior) -> Future[PortEstimate]:
-        """The recorded answer that comes next. Raises EndOfRecording after the last."""
+        """The recorded answer that comes next; after the last one, none ever."""
         number = len(self._evidence.estimates())
-        if number >= len(self._answers):
-            raise EndOfRecording("the recording has no further estimate")
         future: Future[PortEstimate] = Future()
-        future.set_result(self._answers[number].estimate)
+        if number < len(self._answers):  # else what was asked was never answered: the mission ended meanwhile
+            future.set_result(self._answers[number].estimate)
         return future
 
 
@@ -140,6 +139,7 @@ def _mission(
             device.open()
     sources = Sources(devices.arm, devices.charger, devices.scanner)
     supervisor = ReplaySupervisor(sources, clock, playback, config.host.stall_ms / 1000.0, story)
+    supervisor.coming_fault = evidence.coming_fault
     cell = cell_of(config, devices, locator, supervisor, clock, playback, evidence)
     coarse = None if devices.coarse is None else CoarseStage(devices.coarse, locator.submit_rough)
     return Mission(cell, config, mated_pose(config), evidence, memory, lambda: Looking(cell, config, coarse))

@@ -97,9 +97,11 @@ def _asked(recording: Recording) -> tuple[Asked, ...]:
     stops = [decision.time_s for decision in recording.decisions() if decision.name == "StopMotion"]
     halts = [command.time_s for command in recording.arm_commands() if command.name == "stop"]
     found: list[Asked] = []
+    entered_s = 0.0
     for step in recording.transitions():
         if step.event in (Event.STOP.value, Event.ABORT.value):
             abort = step.event == Event.ABORT.value
-            before = [time_s for time_s in (halts if abort else stops) if time_s <= step.time_s]
+            before = [time_s for time_s in (halts if abort else stops) if entered_s <= time_s <= step.time_s]
             found.append(Asked((before[-1] if before else step.time_s) - _ASKED_BEFORE_S, abort))
+        entered_s = step.time_s
     return tuple(found)

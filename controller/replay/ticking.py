@@ -11,8 +11,9 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 
-from controller.faults import MissionFault
-from controller.replay.evidence import WAIT
+from controller.faults import Fault, MissionFault
+from controller.recording.values import Transition
+from controller.replay.evidence import DECISION, STATE, WAIT
 from controller.replay.story import Story
 from controller.states import STOPS, Event
 from controller.supervisor import TICK_S, Sources, StopRequested, Supervisor
@@ -23,6 +24,8 @@ EARLY_S = 2.0
 """What has come so much before the recording's wait ended is waited for with it."""
 NEAR_S, NEAR_STEP_S = 0.05, 0.001
 """So long after the recorded end of a wait, and in such steps, what was waited for is expected at any moment."""
+SILENCE_S = 6.0
+"""Longer than any link may be silent."""
 PATIENCE_S = 15.0
 """So long may something be overdue: a link's silence shows by its age only."""
 
@@ -35,6 +38,9 @@ class ReplaySupervisor(Supervisor):
     ) -> None:
         super().__init__(sources, mission_clock, playback, stall_s)
         self._playback = playback
+        self._waits_are_known = playback.next_cue_s(WAIT) < math.inf
+        self.coming_fault: Callable[[], Transition | None] = lambda: None
+        """The recording's next transition, if the mission only makes safe before it enters FAULT."""
         self._asked = list(story.asked)
         self._end_s = math.inf if story.complete else story.end_s
 
@@ -48,16 +54,34 @@ class ReplaySupervisor(Supervisor):
         """As in the mission, in recorded time. Raises EndOfRecording when the recording has no more to say."""
         end_s = None if timeout_s is None else self._clock.now_s() + timeout_s
         recorded_s = self._playback.next_cue_s(WAIT)
+        broken_off_s = -math.inf
+        if self._waits_are_known and self._next_deed_s() < recorded_s:
+            broken_off_s = self._next_deed_s() + _overdue_s(self.coming_fault())
         overdue_s = min(recorded_s, self._playback.next_cue_s()) + PATIENCE_S
         while True:
             self._raise_interruptions()
             timed_out = end_s is not None and self._clock.now_s() >= end_s
-            if until() or timed_out:
-                return self._let_end(until, recorded_s)
             now_s = self._playback.now_s()
+            if (until() or timed_out) and now_s >= broken_off_s:
+                return self._let_end(until, recorded_s)
             if now_s > overdue_s:
                 raise EndOfRecording("the mission goes on waiting where the recorded one went on")
             self._pass_time(_next_look_s(now_s, recorded_s))
+
+    def _next_deed_s(self) -> float:
+        """When the recorded mission decided something, or entered a state. A wait that was not over by then was broken
+        off: by a trip, a stop, a pause."""
+        return self._playback.next_cue_s(DECISION, STATE)
+
+    @property
+    def trip(self) -> Fault | None:
+        """As in the mission. Where that tripped before it did anything else, time passes until it does here."""
+        fault = self.coming_fault()
+        if fault is not None and fault.time_s < self._playback.next_cue_s(WAIT):
+            end_s = self._next_deed_s() + _overdue_s(fault)
+            while self._trip is None and self._playback.now_s() < end_s:
+                self._pass_time(min(self._playback.now_s() + TICK_S, end_s))
+        return self._trip
 
     def _let_end(self, until: Callable[[], bool], recorded_s: float) -> bool:
         """Stay until the recorded end of the wait if it is near, and look once more at what came meanwhile."""
@@ -85,6 +109,8 @@ class ReplaySupervisor(Supervisor):
             self._pass_time(min(self._playback.now_s() + TICK_S, max(next_s, self._playback.now_s())))
             if self._trip is not None:
                 raise MissionFault(self._trip.code, self._trip.detail)
+        if (trip := self.trip) is not None:
+            raise MissionFault(trip.code, trip.detail)
 
     def idle(self, until: Callable[[], bool]) -> None:
         """Let time pass, whatever is latched."""
@@ -107,6 +133,11 @@ class ReplaySupervisor(Supervisor):
 
     def _late_s(self, due_s: float) -> float:
         return 0.0  # ticks come when the replay lets them: that the recorded process stalled is not played back
+
+
+def _overdue_s(fault: Transition | None) -> float:
+    """How much later than recorded a fault may come: a cable that was pulled shows here by silence only."""
+    return SILENCE_S if fault is not None and fault.event == Event.LINK_LOST.value else 0.0
 
 
 def _next_look_s(now_s: float, recorded_s: float) -> float:

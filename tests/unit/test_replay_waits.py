@@ -5,20 +5,22 @@ from __future__ import annotations
 import pytest
 
 from controller.config import load_config
-from controller.replay.evidence import WAIT
-from controller.replay.story import Story
+from controller.faults import FaultCode
+from controller.recording.values import Transition
+from controller.replay.evidence import STATE, WAIT
+from controller.replay.story import Asked, Story
 from controller.replay.ticking import ReplaySupervisor
 from controller.states import State
-from controller.supervisor import Sources
+from controller.supervisor import Sources, StopRequested
 from controller.task import Goal
 from drivers.playback import EndOfRecording, Playback
 from tests.unit.mission_rig import StandInArm, StandInCharger, StandInScanner
 
 
-def supervisor(waits_s: list[float]) -> tuple[ReplaySupervisor, Playback]:
+def supervisor(waits_s: list[float], asked: tuple[Asked, ...] = ()) -> tuple[ReplaySupervisor, Playback]:
     config, playback = load_config(), Playback(0.0)
     playback.cue(WAIT, waits_s)
-    story = Story(config, 1.0, Goal.CYCLE, State.OFFLINE, 0.0, (), "", 100.0, True)
+    story = Story(config, 1.0, Goal.CYCLE, State.OFFLINE, 0.0, asked, "", 100.0, True)
     arm = StandInArm(config.port.T_base_port.pose)
     sources = Sources(arm, StandInCharger(arm), StandInScanner())
     return ReplaySupervisor(sources, playback, playback, 0.5, story), playback
@@ -64,3 +66,25 @@ def test_a_wait_for_what_never_comes_ends_the_replay() -> None:
     with pytest.raises(EndOfRecording, match="goes on waiting"):
         waiting.wait(lambda: False)
     assert playback.now_s() > 10.0
+
+
+def test_a_wait_that_was_broken_off_in_the_recording_is_not_over_before() -> None:
+    """What it waits for is there at once here; there, the stop came first."""
+    waiting, playback = supervisor([2.0], (Asked(0.5, abort=False),))
+    playback.cue(STATE, [0.6])
+    waiting.enter(State.STAGING, None)
+    with pytest.raises(StopRequested):
+        waiting.wait(lambda: True)
+    assert playback.now_s() < 0.6
+
+
+def test_where_the_mission_tripped_before_it_did_anything_else_time_passes_until_it_does_here() -> None:
+    waiting, playback = supervisor([], (Asked(0.5, abort=True),))
+    playback.cue(STATE, [0.6])
+    waiting.enter(State.STAGING, None)
+    assert waiting.trip is None
+    assert playback.now_s() == 0.0, "no fault is coming: no time passes"
+    waiting.coming_fault = lambda: Transition(0.6, "STAGING", "abort requested", "FAULT", 0.6)
+    assert waiting.trip is not None
+    assert waiting.trip.code is FaultCode.ABORTED
+    assert 0.5 <= playback.now_s() < 0.6
