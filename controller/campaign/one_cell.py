@@ -150,10 +150,10 @@ def _next_start(config: SiteConfig, folder: Path, pace: float) -> tuple[str, flo
 
 
 def _last_s(path: Path) -> float:
-    """Host time of the last readable arm sample or transition: a lost arm gives no more samples."""
+    """Host time of the last readable record of what comes by itself, or transition: a link that is lost gives none."""
     recording = read_recording(path)
-    times = [state.time_s for state in recording.arm_states()] + [step.time_s for step in recording.transitions()]
-    return max(times, default=0.0)
+    times = [state.time_s for state in recording.arm_states()] + [frame.time_s for frame in recording.can_frames()]
+    return max(times + [step.time_s for step in recording.transitions()], default=0.0)
 
 
 def _samples(path: Path) -> list[ArmState]:

@@ -263,3 +263,21 @@ def test_six_of_sixteen_frames_astray_are_two_senders_and_five_are_noise(step: i
 
 def test_one_sender_that_loses_single_frames_is_not_suspected() -> None:
     assert stepping([1, 2] * 20).suspicion == ""
+
+
+def test_the_words_are_those_of_site_files_and_counters_and_each_counter_wraps_where_its_profile_says() -> None:
+    assert {scheme.name: (scheme.value, scheme.counter_modulus, scheme.crc_bytes) for scheme in Scheme} == {
+        "NONE": ("none", 15, 0),
+        "COUNTER": ("counter", 15, 0),
+        "J1850": ("j1850", 15, 1),
+        "P11": ("e2e-p11", 15, 1),
+        "P5": ("e2e-p5", 256, 2),
+    }
+    assert {verdict.name: verdict.value for verdict in Verdict} == {
+        "OK": "ok",
+        "LOST": "lost",
+        "INITIAL": "initial",
+        "REPEATED": "repeated",
+        "WRONG_SEQUENCE": "wrong_sequence",
+        "BAD_CRC": "bad_crc",
+    }
