@@ -35,7 +35,7 @@ class Line:
     """Stands for the serial line: answers each question with the next of some scripted bytes."""
 
     lost = None
-    is_open = True
+    is_open = may_answer = True
 
     def __init__(self, script: list[bytes], heard: Callable[[bytes, int], None]) -> None:
         self.script = script
