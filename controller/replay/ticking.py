@@ -54,9 +54,9 @@ class ReplaySupervisor(Supervisor):
         """As in the mission, in recorded time. Raises EndOfRecording when the recording has no more to say."""
         end_s = None if timeout_s is None else self._clock.now_s() + timeout_s
         recorded_s = self._playback.next_cue_s(WAIT)
-        broken_off_s = -math.inf
-        if self._waits_are_known and self._next_deed_s() < recorded_s:
-            broken_off_s = self._next_deed_s() + _overdue_s(self.coming_fault())
+        deed_s, broken_off_s = self._next_deed_s(), -math.inf
+        if self._waits_are_known and deed_s < recorded_s:
+            broken_off_s = deed_s + _overdue_s(self.coming_fault())
         overdue_s = min(recorded_s, self._playback.next_cue_s()) + PATIENCE_S
         while True:
             self._raise_interruptions()

@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from functools import partial
 
 from drivers.base import ByteSink, LinkHealth, LinkOpenError, NullSink, Scanner
-from drivers.playback import EndOfRecording, Playback
+from drivers.playback import Playback
 from drivers.scanner import scip_codec
 from drivers.scanner.played_line import Dialogue, PlayedLine
 from drivers.scanner.profiler2 import Profiler2, Profiler2Settings
@@ -24,6 +24,11 @@ from perception.scan import Profile
 
 Taken = Sequence[tuple[float, int]]
 """(host's time at which a sweep was over, profiles that it took) of each sweep."""
+
+
+def _over_next(taken: Taken, now_s: float) -> tuple[float, float]:
+    """When the sweep that begins now is over and how many profiles it takes; inf, inf after the last recorded one."""
+    return next(((time_s, count) for time_s, count in taken if time_s > now_s), (math.inf, math.inf))
 
 
 class PlayedScanner:
@@ -43,7 +48,7 @@ class PlayedScanner:
 
     def start(self) -> None:
         """As the driver, for the sweep that is over next."""
-        self._left = next((count for time_s, count in self._taken if time_s > self._playback.now_s()), math.inf)
+        _, self._left = _over_next(self._taken, self._playback.now_s())
         self._driver.start()
 
     def stop(self) -> None:
@@ -78,7 +83,10 @@ class PlayedScip(ScipScanner):
         replies = (reply for _, chunk in self._heard for reply in reader.feed(chunk))
         geometry = next((reply for reply in replies if reply.echo == "PP"), None)
         if geometry is None:
-            raise LinkOpenError("the range finder's parameters (PP) are not in the recording")
+            raise LinkOpenError(
+                "the range finder's parameters (PP) are not in the recording",
+                remedy="It cannot be replayed; `portdock recording export` reads what it holds.",
+            )
         self._geometry = geometry_of(geometry)
         self._link.open()
 
@@ -110,7 +118,7 @@ class PlayedProfiler2(Profiler2):
 
     def open(self) -> None:
         """Nothing is asked before the first sweep."""
-        self._play(_DialogueTime(self._playback.now_s()), self._dialogue.between(0.0, 0.0))
+        self._play(_DialogueTime(self._playback.now_s()), Dialogue(self._dialogue.name, (), ()))
 
     def _play(self, own: Playback, dialogue: Dialogue) -> None:
         asked, line = self._settings, partial(PlayedLine, playback=own, dialogue=dialogue)
@@ -125,21 +133,18 @@ class PlayedProfiler2(Profiler2):
     def start(self) -> None:
         """Read the whole sweep that is over next, in a time of its own."""
         now_s = self._playback.now_s()
-        end_s = next((time_s for time_s, _ in self._taken if time_s > now_s), math.inf)
+        end_s, _ = _over_next(self._taken, now_s)
         own = _DialogueTime(now_s)
         self._play(own, self._dialogue.between(now_s, end_s))
         self._profiles.clear()
         self._due.clear()
         last_time: int | None = None
-        try:
-            self._begin()
-            while math.isfinite(own.next_cue_s()):
-                last_time = self._ask_for_one(last_time)
-                heard_s = self._heard_s[bisect_right(self._heard_s, own.now_s()) - 1]
-                self._due.extend((heard_s, profile) for profile in self._profiles)
-                self._profiles.clear()
-        except EndOfRecording:  # in the midst of a profile
-            pass
+        self._begin()
+        while math.isfinite(own.next_cue_s()):
+            last_time = self._ask_for_one(last_time)
+            heard_s = self._heard_s[bisect_right(self._heard_s, own.now_s()) - 1]
+            self._due.extend((heard_s, profile) for profile in self._profiles)
+            self._profiles.clear()
         self._started_s, self._on = now_s, True
 
     def stop(self) -> None:

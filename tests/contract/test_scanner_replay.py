@@ -13,7 +13,7 @@ import serial
 from controller.recording.reader import read_recording
 from controller.recording.recorder import Recorder
 from controller.scanner_files import load_scanner
-from drivers.base import ByteSink, MonotonicClock, NullSink, Scanner
+from drivers.base import ByteSink, LinkOpenError, MonotonicClock, NullSink, Scanner
 from drivers.playback import Playback
 from drivers.scanner.framed import FramedScanner, FramedTimeouts
 from drivers.scanner.played_line import Dialogue, PlayedLine
@@ -156,6 +156,13 @@ def test_in_recorded_time_the_driver_gives_each_profile_when_it_came(
         for a, b in zip(profiles, early + late, strict=True):
             assert (a.time_s, a.device_time_s) == (b.time_s, b.device_time_s)
             np.testing.assert_array_equal(a.points, b.points)
+
+
+def test_a_range_finder_whose_parameters_were_not_recorded_is_refused_by_name() -> None:
+    playback = Playback(0.0)
+    with pytest.raises(LinkOpenError, match="PP") as refused:
+        played_scip(Dialogue("tx", [(1, b"QT\n00P\n\n")], ()), playback, ()).open()
+    assert "replay" in refused.value.remedy
 
 
 def test_a_client_that_says_something_else_ends_the_replay_with_exit_code_1(tmp_path: Path) -> None:

@@ -43,6 +43,24 @@ def test_the_flange_hangs_lower_than_the_arm_says_and_a_rigid_one_does_not() -> 
     np.testing.assert_array_equal(hanging.reference.links[5], rigid.reference.links[5])
 
 
+@pytest.mark.parametrize("seed", range(5))
+def test_what_is_reused_on_a_short_way_is_less_than_a_micrometre_off_at_the_flange(seed: int) -> None:
+    rng, reusing = np.random.default_rng(seed), Sag(KINEMATICS, 3e-6)
+    before = rng.uniform(-2.0, 2.0, 6)
+    reusing.deflection(before)
+    for way_rad in (1e-3, 0.1):
+        q = before + way_rad * rng.uniform(-1.0, 1.0, 6)
+        flanges = [KINEMATICS.flange(q + sag.deflection(q)) for sag in (reusing, Sag(KINEMATICS, 3e-6))]
+        assert np.linalg.norm(flanges[0][:3, 3] - flanges[1][:3, 3]) < 1e-6
+
+
+def test_the_true_flange_moves_with_the_joints() -> None:
+    hanging = arm(Sag(KINEMATICS, 3e-6))
+    first = hanging.T_base_flange_true
+    hanging.reference.advance(STRETCHED + 0.01, 0.1)
+    assert np.linalg.norm(hanging.T_base_flange_true[:3, 3] - first[:3, 3]) > 0.001
+
+
 @pytest.mark.parametrize("name", SCENARIOS)
 def test_every_scenarios_arm_gives_by_its_cells_own_measure(name: str) -> None:
     config, port = load_config(), load_port("ccs2")

@@ -41,6 +41,8 @@ def test_more_than_was_recorded_ends_the_replay_past_every_handler_of_faults() -
 def test_cues_of_waits_that_are_over_are_skipped() -> None:
     playback = Playback(0.0)
     playback.cue("wait", [1.0, 2.0, 3.0])
-    playback.run_until(2.5)
     playback.skip_cues("wait", 2.5)
     assert playback.next_cue_s("wait") == 3.0
+    playback.skip_cue("wait")
+    playback.skip_cue("wait")
+    assert playback.next_cue_s("wait") == float("inf")
