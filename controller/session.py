@@ -30,7 +30,6 @@ from controller.recording.candump import candump_text
 from controller.recording.log import log_into
 from controller.recording.recorder import Recorder
 from controller.recording.ring import prune
-from controller.reports.mission import write_report
 from controller.summary import ContactSummary, LocateSummary, MissionSummary
 from controller.task import Goal, Progress
 from drivers.base import CanFrame, MonotonicClock
@@ -245,6 +244,8 @@ def contact_summary(insertion: Insertion) -> ContactSummary:
 
 def with_report(summary: MissionSummary, folder: Path) -> MissionSummary:
     """A report that cannot be written costs the report, never the mission's result."""
+    from controller.reports.mission import write_report  # its pictures take half a second to import
+
     try:
         write_report(folder / RECORDING_NAME, folder / REPORT_NAME)
     except Exception:

@@ -11,7 +11,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.signal import correlate
 
 from perception.errors import EmptyScanError
 from perception.estimate import Prior
@@ -121,6 +120,8 @@ def _skin(points: Array) -> Array:
 
 def _correlation(scan: _Grid, port: _Grid, lateral_m: float) -> Array:
     """Pearson's correlation of both reliefs with the port at each shift, each cell by its points; -1 where excluded."""
+    from scipy.signal import correlate  # takes a second to import, and only a coarse stage needs it
+
     mask = (port.count > 0).astype(np.float64)
     shape = port.height * mask
 

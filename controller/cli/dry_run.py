@@ -26,6 +26,8 @@ log = logging.getLogger(__name__)
 FAST_FACTOR = 2.0
 """Emulated seconds per wall second with --fast."""
 
+Pace = Annotated[float, typer.Option(min=1.0, max=6.0, help="Emulated seconds per wall second of wires and arm.")]
+
 
 def dry_run(
     seed: Annotated[int, typer.Option(min=0, help="Where the car stands, and all noise.")] = 0,

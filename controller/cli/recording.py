@@ -12,7 +12,6 @@ from controller.recording.compare import first_difference
 from controller.recording.export import ExportFormat, export
 from controller.recording.reader import Recording, read_recording
 from controller.recording.recovery import recover
-from controller.reports.mission import write_report
 
 app = typer.Typer(help="Look into, repair and export the recording of a mission.", no_args_is_help=True)
 
@@ -72,6 +71,8 @@ def report(
     out: Annotated[Path | None, typer.Option(help="File or folder; without one beside the recording.")] = None,
 ) -> None:
     """Write the report of a recording again."""
+    from controller.reports.mission import write_report  # its pictures take half a second to import
+
     print(write_report(file, out or file.parent))
 
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from controller.cli.dry_run import FAST_FACTOR, Pace, for_mocks
 from controller.config import load_config
 from controller.config_section import ConfigError
 
@@ -25,22 +26,21 @@ def soak(
     faults: Annotated[float, typer.Option(min=0.0, max=1.0, help="Share of missions with a random fault.")] = 0.3,
     seed: Annotated[int, typer.Option(min=0, help="Cars, faults, noise.")] = 0,
     world: Annotated[int, typer.Option(min=1, help="Missions for each car and set of mocks.")] = 10,
-    fast: Annotated[bool, typer.Option("--fast/--no-fast", help="Wires and arm twice as fast.")] = True,
+    pace: Pace = FAST_FACTOR,
     out: Annotated[Path, typer.Option(help="Folder for soak.jsonl and the recordings.")] = Path("portdock-soak"),
     config: Annotated[Path | None, typer.Option(help="A site file; addresses are replaced by the mocks'.")] = None,
 ) -> None:
     """Run missions until the time is up or the number reached. Exit 1 for a leak or an unexplained outcome."""
     if hours is None and missions is None:
         raise ConfigError("neither --hours nor --missions", remedy="Say how long: `portdock soak --missions 20`.")
-    from controller.cli.dry_run import FAST_FACTOR, for_mocks  # devices take seconds to import
-    from controller.soak.run import Plan, run_soak
+    from controller.soak.run import Plan, run_soak  # devices take seconds to import
     from drivers.base import MonotonicClock
 
     clock = MonotonicClock()
     end_s = float("inf") if hours is None else clock.now_s() + 3600.0 * hours
-    plan = Plan(missions or FOREVER, end_s, seed, faults, world, FAST_FACTOR if fast else 1.0)
+    plan = Plan(missions or FOREVER, end_s, seed, faults, world, pace)
     out.mkdir(parents=True, exist_ok=True)
-    done = run_soak(for_mocks(load_config(config), fast), plan, out.resolve(), clock, _tell)
+    done = run_soak(for_mocks(load_config(config), fast=pace > 1.0), plan, out.resolve(), clock, _tell)
     raise typer.Exit(0 if _judged(done) else 1)
 
 
