@@ -58,8 +58,9 @@ def edge_rows(matches: Matches, model: PortModel, scale_m: float) -> EdgeRows:
 
 def _rows(model: PortModel, level: NDArray[np.int64], local: Array, of: NDArray[np.int64], *, beyond: bool) -> EdgeRows:
     """Rows of places that lie on the wrong side of their level's edge, within reach."""
-    distance, gradient = model.flats.beyond(level, local[:, :2])
-    wrong = (distance > 0) if beyond else (distance < 0)
-    wrong &= (np.abs(distance) < REACH_M) & (np.abs(gradient).sum(axis=1) > 0.5)
-    outward = np.column_stack([gradient[wrong], np.zeros(int(wrong.sum()))])
+    distance = model.flats.beyond(level, local[:, :2])
+    wrong = np.flatnonzero(((distance > 0) if beyond else (distance < 0)) & (np.abs(distance) < REACH_M))
+    outward = model.flats.outward(level[wrong], local[wrong, :2])
+    told = np.abs(outward).sum(axis=1) > 0.5
+    wrong, outward = wrong[told], np.column_stack([outward[told], np.zeros(int(told.sum()))])
     return EdgeRows(local[wrong], outward, distance[wrong], of[wrong])

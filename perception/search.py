@@ -49,8 +49,7 @@ def search(
         steps = (2 * reach / CELL_M).astype(int) + 1
         score = np.empty((len(rolls), *steps), dtype=np.float32)
         for k, template in enumerate(spectra):
-            full = scipy.fft.irfftn(spectrum * template, s=shape, workers=threads)
-            score[k] = full[: steps[0], : steps[1], : steps[2]]
+            score[k] = _inverse_corner(spectrum * template, shape, steps, threads)
         found += _peaks(score, frame, rolls, reach, prior, keep)
     return sorted(found, key=lambda candidate: -candidate.score)
 
@@ -79,6 +78,13 @@ def _spectra(templates: Templates, reach: Array, threads: int) -> tuple[list[Arr
     padded = np.array(templates.volumes.shape[1:]) + np.ceil(2 * reach / CELL_M).astype(int) + 1
     x, y, z = (int(scipy.fft.next_fast_len(int(n), real=True)) for n in padded)
     return [np.conj(scipy.fft.rfftn(volume, s=(x, y, z), workers=threads)) for volume in templates.volumes], (x, y, z)
+
+
+def _inverse_corner(spectrum: Array, shape: tuple[int, int, int], steps: Array, threads: int) -> Array:
+    """The first ``steps`` (3,) values of the inverse transform along each axis; the rest is not computed to its end."""
+    along_x = scipy.fft.ifft(spectrum, axis=0, overwrite_x=True, workers=threads)[: steps[0]]
+    along_y = scipy.fft.ifft(along_x, axis=1, workers=threads)[:, : steps[1]]
+    return np.asarray(scipy.fft.irfft(along_y, n=shape[2], axis=2, workers=threads)[..., : steps[2]])
 
 
 def _occupancy(points: Array, low: Array, shape: tuple[int, int, int]) -> Volume:

@@ -93,7 +93,7 @@ def _places(pose: Pose, measured: Measured, flats: Flats, scale_m: float) -> _Pl
 
 def _near_edges(places: _Places, flats: Flats, at: Array) -> _Places:
     """Those that an edge is in reach of, from ``at``: the others say nothing about small moves."""
-    near = np.abs(flats.beyond(places.level, _seen_from(places, at))[0]) < _NEAR_M
+    near = np.abs(flats.beyond(places.level, _seen_from(places, at))) < _NEAR_M
     return _Places(places.xy[near], places.level[near], places.sign[near])
 
 
@@ -139,7 +139,8 @@ def _moved(places: _Places, flats: Flats, at: Array, how: _Descent) -> tuple[flo
     """(cost, place) after a few steps across the axis, at the roll ``at[2]``."""
     best, where = np.inf, at
     for step in range(how.steps + 1):
-        distance, gradient = flats.beyond(places.level, _seen_from(places, at))
+        xy = _seen_from(places, at)
+        distance = flats.beyond(places.level, xy)
         wrong = np.nan_to_num(np.maximum(distance * places.sign, 0.0))
         cost = float(np.minimum(wrong, how.cap_m).sum())
         if cost < best:
@@ -148,7 +149,7 @@ def _moved(places: _Places, flats: Flats, at: Array, how: _Descent) -> tuple[flo
             break
         pulls = np.flatnonzero((wrong > 0) & (wrong < how.cap_m))
         weight = 1.0 / np.maximum(wrong[pulls], how.soft_m)
-        g = gradient[pulls]
+        g = flats.outward(places.level[pulls], xy[pulls])
         normal = (g * weight[:, None]).T @ g + np.eye(2) * 1e-3 * (weight.sum() + 1.0)
         shift = np.linalg.solve(normal, (g * (weight * distance[pulls])[:, None]).sum(axis=0))
         shift *= min(1.0, _STRIDE_M / max(float(np.linalg.norm(shift)), 1e-12))

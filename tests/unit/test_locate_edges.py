@@ -33,19 +33,19 @@ def test_each_height_is_a_level(steps: Flats) -> None:
 
 
 def test_the_distance_to_an_edge_is_negative_on_the_flat_and_its_gradient_leads_away(steps: Flats) -> None:
-    distance, gradient = steps.beyond(np.array([1, 1]), np.array([[0.004, 0.0], [0.0, 0.0062]]))
-    assert np.allclose(distance, [-0.001, 0.0012], atol=1e-4)
-    assert np.allclose(gradient, [[1.0, 0.0], [0.0, 1.0]], atol=0.05)
+    level, xy = np.array([1, 1]), np.array([[0.004, 0.0], [0.0, 0.0062]])
+    assert np.allclose(steps.beyond(level, xy), [-0.001, 0.0012], atol=1e-4)
+    assert np.allclose(steps.outward(level, xy), [[1.0, 0.0], [0.0, 1.0]], atol=0.05)
 
 
 def test_beside_the_port_nothing_is_known(steps: Flats) -> None:
-    assert np.isnan(steps.beyond(np.array([0, 0]), np.array([[0.021, 0.0], [1.0, 1.0]]))[0]).all()
+    assert np.isnan(steps.beyond(np.array([0, 0]), np.array([[0.021, 0.0], [1.0, 1.0]]))).all()
 
 
 def test_levels_that_noise_hides_are_one_whose_edges_are_those_of_both(steps: Flats) -> None:
     one = steps.merged(0.003)
     assert len(one.heights) == 1
-    assert one.beyond(np.array([0]), np.array([[0.0062, 0.0]]))[0][0] < -REACH_M / 4
+    assert one.beyond(np.array([0]), np.array([[0.0062, 0.0]]))[0] < -REACH_M / 4
 
 
 @pytest.mark.parametrize("roll_deg", [-12.0, 7.0])
