@@ -165,6 +165,7 @@ class MockCell:
             T_flange_coarse=None if config.coarse is None else _vector(config.coarse.scanner.T_flange_scanner.pose),
             T_flange_tcp=_vector(config.arm.T_flange_tcp.pose @ unknown.tool),
             joint_offsets=unknown.joints,
+            link_errors_m=unknown.links_m,
             joint_compliance_rad_per_nm=unknown.compliance_rad_per_nm,
             T_port_tcp=_vector(port.T_port_tcp),
             panel=self._scenario.target or ("plain" if self._scenario.plain_panel else "port"),

@@ -15,8 +15,9 @@ from perception.port_shape import PortDescription
 HAND_EYE_M, HAND_EYE_DEG = 0.0002, 0.03
 TOOL_M, TOOL_DEG = 0.0001, 0.03
 JOINT_RAD = 0.0001
-"""1 sigma of each axis of a good calibration's remaining errors: about 0.4 mm of hand-eye, 0.2 mm of tool and 0.2 mm of
-arm at the port."""
+LINK_M = 0.0002
+"""1 sigma of each axis of a good calibration's remaining errors: about 0.4 mm of hand-eye, 0.2 mm of tool and 0.3 mm of
+arm at the port. Most of the arm's is the same where it scans and where it docks."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -29,6 +30,8 @@ class Miscalibration:
     """True TCP in the configured TCP's frame."""
     joints: tuple[float, float, float, float, float, float]
     """True joint angles minus those that the arm reports, rad."""
+    links_m: tuple[float, float, float, float, float, float] = (0.0,) * 6
+    """True lengths of the arm (d1, a2, a3, d4, d5, d6) minus those that it computes with."""
     compliance_rad_per_nm: float = 0.0
     """Of each joint under the weight that it carries."""
 
@@ -67,7 +70,8 @@ def draw_scenario(name: str, config: SiteConfig, port: PortDescription, seed: in
 
     Before a site with a coarse stage it stands farther off: up to 60 % of what that stage is to bridge.
 
-    ``uncalibrated``: the scanner sits 10 to 20 mm and 5 to 10 deg off its nominal place, joints are 0.02 deg off.
+    ``uncalibrated``: the scanner sits 10 to 20 mm and 5 to 10 deg off its nominal place, joints are 0.02 deg off,
+    the arm's lengths 0.2 mm.
     ``cell``: which cell, where that is not the seed: its calibration errors stay while the car comes and goes.
 
     Raises ConfigError for an unknown name.
@@ -106,11 +110,14 @@ def _draw_miscalibration(rng: np.random.Generator) -> Miscalibration:
 
     j1, j2, j3, j4, j5, j6 = rng.normal(0.0, JOINT_RAD, 6).tolist()
     scanner, tool = pose(HAND_EYE_M, HAND_EYE_DEG), pose(TOOL_M, TOOL_DEG)
-    return Miscalibration(scanner, tool, (j1, j2, j3, j4, j5, j6), _draw_compliance(rng))
+    return _with_arm(Miscalibration(scanner, tool, (j1, j2, j3, j4, j5, j6)), rng)
 
 
-def _draw_compliance(rng: np.random.Generator) -> float:
-    return COMPLIANCE_RAD_PER_NM * float(rng.uniform(0.5, 1.5))
+def _with_arm(drawn: Miscalibration, rng: np.random.Generator) -> Miscalibration:
+    """How much the arm gives, and its lengths as built."""
+    give = COMPLIANCE_RAD_PER_NM * float(rng.uniform(0.5, 1.5))
+    d1, a2, a3, d4, d5, d6 = rng.normal(0.0, LINK_M, 6).tolist()
+    return replace(drawn, links_m=(d1, a2, a3, d4, d5, d6), compliance_rad_per_nm=give)
 
 
 def _draw_uncalibrated(rng: np.random.Generator) -> Miscalibration:
@@ -119,4 +126,4 @@ def _draw_uncalibrated(rng: np.random.Generator) -> Miscalibration:
     scanner = Pose.from_rotvec(np.deg2rad(rng.uniform(*UNCALIBRATED_DEG)) * turn, rng.uniform(*UNCALIBRATED_M) * place)
     tool = Pose.from_rotvec(np.deg2rad(rng.normal(0.0, TOOL_DEG, 3)), rng.normal(0.0, TOOL_M, 3))
     j1, j2, j3, j4, j5, j6 = np.deg2rad(rng.normal(0.0, UNCALIBRATED_JOINT_DEG, 6)).tolist()
-    return Miscalibration(scanner, tool, (j1, j2, j3, j4, j5, j6), _draw_compliance(rng))
+    return _with_arm(Miscalibration(scanner, tool, (j1, j2, j3, j4, j5, j6)), rng)

@@ -11,10 +11,12 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from controller.cli.evaluate_calibration import evaluate_calibration
 from controller.cli.evaluate_locate import evaluate_locate
+from controller.cli.evaluate_views import evaluate_views
 
 app = typer.Typer(help="Measure how well ports are located, against baselines and truth.", no_args_is_help=True)
 app.command("locate")(evaluate_locate)
 app.command("calibration")(evaluate_calibration)
+app.command("views")(evaluate_views)
 
 
 @app.command("method")

@@ -96,9 +96,11 @@ class Arm:
         sensor: Sensor,
         joint_offsets: Array | None = None,
         sag: Sag | None = None,
+        built: Kinematics | None = None,
     ) -> None:
         """``joint_offsets`` (6,) rad: true joint angles minus those that the arm believes and reports. ``sag``: what
-        gravity adds to them; None is a rigid arm."""
+        gravity adds to them; None is a rigid arm. ``built``: the arm's true lengths; None: as it believes."""
+        self._built = built or kinematics
         self._sag = sag
         self._joint_offsets = None if joint_offsets is None or not joint_offsets.any() else joint_offsets
         self.reference = Reference(kinematics, q)
@@ -127,14 +129,14 @@ class Arm:
 
     @property
     def T_base_flange_true(self) -> Array:
-        """Where the flange really is (4, 4): by the true joint angles, which the arm itself does not know."""
-        if self._joint_offsets is None and self._sag is None:
+        """Where the flange really is (4, 4): by true joint angles and lengths, which the arm itself does not know."""
+        if self._joint_offsets is None and self._sag is None and self._built is self.reference.kinematics:
             return np.asarray(self.reference.links[5])
         if self._true_at is not self.q:  # joints are replaced, never changed: asked for several times in each step
             true = self.q if self._joint_offsets is None else self.q + self._joint_offsets
             if self._sag is not None:
                 true = true + self._sag.deflection(true)
-            self._true_at, self._T_base_flange_true = self.q, self.reference.kinematics.flange(true)
+            self._true_at, self._T_base_flange_true = self.q, self._built.flange(true)
         return self._T_base_flange_true
 
     @property

@@ -18,7 +18,7 @@ from mocks.ur.arm import Arm, Environment, Floor, FreeSpace, Sensor
 from mocks.ur.control_channel import ControlChannel
 from mocks.ur.controller import Controller
 from mocks.ur.environment import PortEnvironment
-from mocks.ur.kinematics import MODELS, Kinematics
+from mocks.ur.kinematics import MODELS, Kinematics, as_built
 from mocks.ur.sag import Sag
 from mocks.ur.server import UrServer
 from mocks.ur.state import Safety
@@ -63,7 +63,9 @@ def build(options: argparse.Namespace) -> UrServer:
     kinematics, sensor = Kinematics(MODELS[model]), Sensor(rng, 0.3, 0.01, 3.0, 0.1)
     give = 0.0 if world is None else world.joint_compliance_rad_per_nm
     sag = Sag(kinematics, give) if give > 0.0 else None
-    arm = Arm(kinematics, np.array(joints), environment, sensor, offsets, sag)
+    lengths = np.zeros(6) if world is None else np.array(world.link_errors_m)
+    built = Kinematics(as_built(kinematics.model, lengths)) if lengths.any() else None
+    arm = Arm(kinematics, np.array(joints), environment, sensor, offsets, sag, built)
     version = tuple(int(part) for part in options.version.split("."))
     controller = Controller(
         arm, (version[0], version[1], version[2], version[3]), stop_pauses=options.protective_stop == "paused"

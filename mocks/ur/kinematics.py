@@ -1,14 +1,14 @@
 """Kinematics of the emulated arm: nominal DH parameters, forward, Jacobian, inverse.
 
-Denavit-Hartenberg parameters as Universal Robots publishes them for each model; a real arm's calibration differs by
-some tenths of a millimetre, which the mock does not simulate. The driver has kinematics of its own: the two are
+Denavit-Hartenberg parameters as Universal Robots publishes them for each model. An arm as built differs by some tenths
+of a millimetre (``as_built``), which it does not know of itself. The driver has kinematics of its own: the two are
 compared in tests and share no code.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -44,6 +44,21 @@ MODELS = {
         Model("ur30", 0.2363, -0.6370, -0.5037, 0.2010, 0.1593, 0.1543, 30.0, 1.3),
     )
 }
+
+
+def as_built(model: Model, length_errors_m: Array) -> Model:
+    """The same robot with its lengths (d1, a2, a3, d4, d5, d6) off by so much, (6,) metres. Angles stay as drawn."""
+    d1, a2, a3, d4, d5, d6 = (float(error) for error in length_errors_m)
+    return replace(
+        model,
+        d1=model.d1 + d1,
+        a2=model.a2 + a2,
+        a3=model.a3 + a3,
+        d4=model.d4 + d4,
+        d5=model.d5 + d5,
+        d6=model.d6 + d6,
+    )
+
 
 JOINT_LIMIT_RAD = 2.0 * math.pi
 ROUNDING = 1e-7

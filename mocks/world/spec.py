@@ -55,6 +55,8 @@ class WorldSpec:
     """Where a second, coarse scanner sits; None: there is none."""
     joint_offsets: Vector6 = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     """True joint angles minus those that the arm reports: its flange is not quite where it says."""
+    link_errors_m: Vector6 = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    """True lengths d1, a2, a3, d4, d5, d6 of the arm minus those that it computes with."""
     joint_compliance_rad_per_nm: float = 0.0
     """How far each joint gives under the weight that it carries: its flange hangs lower than the arm says."""
     start_joints: Vector6 = (0.0, -1.5708, 1.5708, -1.5708, -1.5708, 0.0)

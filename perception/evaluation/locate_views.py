@@ -16,8 +16,10 @@ from perception.port_shape import PortShape
 from perception.scan import Cloud
 
 _NOISE_M, _OUTLIERS = 0.00025, 0.08
-_ARM_SIGMA = np.array([0.0002] * 3 + [np.deg2rad(0.03)] * 3)
-"""How well the arm knows from where the second sweep was taken."""
+CALIBRATED = (0.0002, float(np.deg2rad(0.03)))
+"""(m, rad), 1 sigma of each axis: how well an arm knows from where the second sweep was taken, seen from the first."""
+UNCALIBRATED = (0.0006, float(np.deg2rad(0.15)))
+"""The same with a mounting from a drawing."""
 _STANDOFF_M = 0.28
 
 
@@ -32,7 +34,7 @@ class TwoViews:
     prior: Prior
 
 
-def two_views(shape: PortShape, integrity: float, rng: Rng) -> TwoViews:
+def two_views(shape: PortShape, integrity: float, rng: Rng, arm_sigma: tuple[float, float] = CALIBRATED) -> TwoViews:
     """Sweeps from straight ahead and from the side, each lacking its own ``1 - integrity`` of the port."""
     scene = build_scene(SceneSpec(shape), rng)
     facing = Pose(np.diag([1.0, -1.0, -1.0]), np.array([0.0, 0.0, _STANDOFF_M]))
@@ -40,7 +42,7 @@ def two_views(shape: PortShape, integrity: float, rng: Rng) -> TwoViews:
     turn = exp([0, 0, 0, 0, np.deg2rad(rng.choice([-1, 1]) * rng.uniform(12, 20)), 0])
     poses = (facing @ offset, facing @ turn @ offset)
     clouds = (_sweep(scene, poses[0], integrity, rng), _sweep(scene, poses[1], integrity, rng))
-    told = poses[0] @ poses[1].inverse() @ exp(rng.normal(0.0, _ARM_SIGMA))
+    told = poses[0] @ poses[1].inverse() @ exp(rng.normal(0.0, np.repeat(arm_sigma, 3)))
     return TwoViews(clouds, poses, (Pose.identity(), told), Prior(facing))
 
 

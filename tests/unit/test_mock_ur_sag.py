@@ -1,4 +1,4 @@
-"""The emulated arm hangs lower than it says, by as much as its links' weight bends its joints; nothing tells of it."""
+"""The emulated arm is not quite where it says: its links' weight bends its joints, and its lengths are not as drawn."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from controller.config import load_config
 from controller.port_files import load_port
 from controller.scenarios import SCENARIOS, draw_scenario
 from mocks.ur.arm import Arm, FreeSpace, Sensor
-from mocks.ur.kinematics import MODELS, Kinematics
+from mocks.ur.kinematics import MODELS, Kinematics, as_built
 from mocks.ur.sag import G_M_S2, LINK_KG, TOOL_KG, Sag
 
 KINEMATICS = Kinematics(MODELS["ur10e"])
@@ -31,8 +31,9 @@ def test_torques_are_the_slope_of_the_potential(seed: int) -> None:
     np.testing.assert_allclose(Sag(KINEMATICS, 3e-6).torques(q), -np.array(slope), atol=1e-4)
 
 
-def arm(sag: Sag | None) -> Arm:
-    return Arm(KINEMATICS, STRETCHED, FreeSpace(), Sensor(np.random.default_rng(0), 0, 0, 0, 0), sag=sag)
+def arm(sag: Sag | None, built: Kinematics | None = None) -> Arm:
+    sensor = Sensor(np.random.default_rng(0), 0, 0, 0, 0)
+    return Arm(KINEMATICS, STRETCHED, FreeSpace(), sensor, sag=sag, built=built)
 
 
 def test_the_flange_hangs_lower_than_the_arm_says_and_a_rigid_one_does_not() -> None:
@@ -59,6 +60,23 @@ def test_the_true_flange_moves_with_the_joints() -> None:
     first = hanging.T_base_flange_true
     hanging.reference.advance(STRETCHED + 0.01, 0.1)
     assert np.linalg.norm(hanging.T_base_flange_true[:3, 3] - first[:3, 3]) > 0.001
+
+
+@pytest.mark.parametrize("length", range(6))
+def test_a_length_that_is_off_moves_the_true_flange_by_as_much_and_the_reported_one_not_at_all(length: int) -> None:
+    errors_m = 0.0002 * np.eye(6)[length]
+    wrong = arm(None, Kinematics(as_built(MODELS["ur10e"], errors_m)))
+    moved = wrong.T_base_flange_true[:3, 3] - wrong.reference.links[5][:3, 3]
+    assert np.linalg.norm(moved) == pytest.approx(0.0002, rel=1e-9)
+    np.testing.assert_array_equal(wrong.reference.links[5], arm(None).reference.links[5])
+
+
+@pytest.mark.parametrize("name", SCENARIOS)
+def test_every_scenarios_arm_is_as_long_as_its_own_cell_has_it(name: str) -> None:
+    config, port = load_config(), load_port("ccs2")
+    lengths = np.array([draw_scenario(name, config, port, 0, cell).miscalibration.links_m for cell in range(40)])
+    assert 0.00015 < lengths.std() < 0.00025
+    assert len(np.unique(lengths)) == lengths.size
 
 
 @pytest.mark.parametrize("name", SCENARIOS)
