@@ -31,9 +31,10 @@ def device_names(config: SiteConfig) -> DeviceNames:
     return DeviceNames(arm.serial or f"at {arm.host}", scanner.serial or f"at {scanner.device}")
 
 
-def mock_names(cell: int) -> DeviceNames:
-    """The devices of a mock cell: one for each draw of its errors."""
-    return DeviceNames(f"mock cell {cell}", f"mock cell {cell}")
+def mock_names(cell: int, scenario: str) -> DeviceNames:
+    """The devices of a mock cell: one for each draw of its errors, and ``uncalibrated`` draws others than the rest."""
+    name = f"uncalibrated mock cell {cell}" if scenario == "uncalibrated" else f"mock cell {cell}"
+    return DeviceNames(name, name)
 
 
 def basis_of(config: SiteConfig) -> str:

@@ -13,6 +13,7 @@ import typer
 from controller.calibrations.corrections import Correction, corrections
 from controller.calibrations.dock_log import NAME, LoggedDock, cell_mark, in_words, judged, read_docks
 from controller.calibrations.in_force import basis_of, calibrated_as_far_as_fits, device_names, mock_names, usable
+from controller.calibrations.record import DeviceNames
 from controller.calibrations.store import CalibrationStore
 from controller.cli.scan import ConfigOption
 from controller.config import SiteConfig, load_config
@@ -29,12 +30,14 @@ def drift(
     ] = None,
     config: ConfigOption = None,
     mock_cell: Annotated[int | None, typer.Option(min=0, help="Docks of this mock cell, made by dry runs.")] = None,
+    scenario: Annotated[str, typer.Option(help="With --mock-cell: of which scenario.")] = "nominal",
 ) -> None:
     """Print the control chart of every port type docked at, what it warns of, and which correction would cancel it.
 
     Exit code 1 with a warning, 0 once a correction has been accepted.
     """
     site = load_config(config)
+    mocks = None if mock_cell is None else mock_names(mock_cell, scenario)
     folder = Path(site.calibration.folder)
     logged = read_docks(folder)
     if not logged and accept is not None:
@@ -56,20 +59,22 @@ def drift(
     if older:
         typer.echo(f"{older} docks with other calibrations are left out")
     if accept is not None:
-        _accept(accept, _proposed(site, mock_cell, found, logged[-1]), CalibrationStore(folder))
+        _accept(accept, _proposed(site, mocks, found, logged[-1]), CalibrationStore(folder))
     elif found:
         try:
-            _show(_proposed(site, mock_cell, found, logged[-1]))
+            _show(_proposed(site, mocks, found, logged[-1]))
         except InputError as error:  # the warning stands all the same
             typer.echo(f"no correction: {error.cause}\n  remedy: {error.remedy}")
         raise typer.Exit(1)
 
 
-def _proposed(site: SiteConfig, mock_cell: int | None, found: Sequence[Drift], last: LoggedDock) -> list[Correction]:
+def _proposed(
+    site: SiteConfig, mocks: DeviceNames | None, found: Sequence[Drift], last: LoggedDock
+) -> list[Correction]:
     """Raises InputError if other calibrations than the docks' are in force: they may have mended it already."""
-    devices = device_names(site) if mock_cell is None else mock_names(mock_cell)
+    devices = mocks or device_names(site)
     site, examined = calibrated_as_far_as_fits(site, devices)
-    if mock_cell is not None:
+    if mocks is not None:
         site = site.model_copy(update={"scanner": site.scanner.model_copy(update={"serial": devices.scanner})})
     if cell_mark(basis_of(site)) != cell_mark(last.basis):
         raise InputError(

@@ -17,7 +17,7 @@ from controller.calibrations.record import Calibration, DeviceNames, versions_he
 from controller.calibrations.store import CalibrationStore
 from controller.calibrations.words import compared, pose_words
 from controller.cli.dry_run import FAST_FACTOR, for_mocks
-from controller.cli.scan import ConfigOption, FastOption, MockOption, SeedOption, show_quarters
+from controller.cli.scan import ConfigOption, ErrorsOption, FastOption, MockOption, SeedOption, show_quarters
 from controller.config import SiteConfig, load_config
 from controller.port_files import load_port
 from controller.scenarios import draw_scenario
@@ -49,7 +49,7 @@ def hand_eye(
     config: ConfigOption = None,
     mock: MockOption = False,
     seed: SeedOption = 0,
-    scenario: Annotated[str, typer.Option(help="With --mock: whose calibration errors.")] = "uncalibrated",
+    scenario: ErrorsOption = "uncalibrated",
     mock_diameter_mm: Annotated[float | None, typer.Option(help="With --mock: what the sphere truly measures.")] = None,
     fast: FastOption = False,
 ) -> None:
@@ -74,7 +74,7 @@ def hand_eye(
             return
         found = calibrate_hand_eye(cell[0], wanted, show_quarters, typer.echo, pace=cell[1], heartbeat_mode=mode)
     _refuse_uncertain(found, wanted)
-    _store(found, site, mock_names(seed) if mock else device_names(site))
+    _store(found, site, mock_names(seed, scenario) if mock else device_names(site))
 
 
 def _mock(

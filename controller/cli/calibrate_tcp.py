@@ -20,11 +20,11 @@ from controller.calibrations.touches import read_touches
 from controller.calibrations.words import pose_words
 from controller.cli.scan import (
     ConfigOption,
+    ErrorsOption,
     FastOption,
     MockCellOption,
     MockOption,
     SeedOption,
-    WorldOption,
     cell_for,
     show_quarters,
 )
@@ -51,7 +51,7 @@ def tcp(
     ] = None,
     mock: MockOption = False,
     seed: SeedOption = 0,
-    scenario: WorldOption = "nominal",
+    scenario: ErrorsOption = "uncalibrated",
     mock_cell: MockCellOption = None,
     fast: FastOption = False,
 ) -> None:
@@ -60,7 +60,7 @@ def tcp(
     Mating gives place and rotation but not the tool's length; touching gives the place, length included.
     """
     site, number = load_config(config), seed if mock_cell is None else mock_cell
-    devices = mock_names(number) if mock else device_names(site)
+    devices = mock_names(number, scenario) if mock else device_names(site)
     if touches is not None:
         if mock:
             raise InputError("touches need no mock devices", remedy="Leave out --mock, or --touches.")

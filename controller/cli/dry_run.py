@@ -14,6 +14,7 @@ from typing import Annotated
 import typer
 
 from controller.calibrations.in_force import calibrated_as_far_as_fits, mock_names
+from controller.calibrations.record import DeviceNames
 from controller.cli.progress import make_display
 from controller.config import SiteConfig, load_config
 from controller.config_section import ConfigError
@@ -68,7 +69,7 @@ def dry_run(
             display.note(f"fast: wires and arm run {pace:g} times as fast; heartbeats keep wall time; one device clock")
         with MockCell(Path(wires), site, world, seed, pace, can_bus(can), profile_rate(profile_rate_hz)) as cell:
             summary = run_session(
-                on_mock_cell(cell.config, number),
+                on_mock_cell(cell.config, mock_names(number, scenario)),
                 folder,
                 display,
                 pace=pace,
@@ -81,13 +82,13 @@ def dry_run(
     finish(summary, as_json)
 
 
-def on_mock_cell(site: SiteConfig, number: int) -> SiteConfig:
+def on_mock_cell(site: SiteConfig, devices: DeviceNames) -> SiteConfig:
     """The site with the calibrations that belong to this mock cell; those of others and old ones are left aside."""
-    site, found = calibrated_as_far_as_fits(site, mock_names(number))
+    site, found = calibrated_as_far_as_fits(site, devices)
     for one in found:
         if one.problem is not None:
             log.warning("not used: %s", one.problem.cause)
-    return site.model_copy(update={"scanner": site.scanner.model_copy(update={"serial": mock_names(number).scanner})})
+    return site.model_copy(update={"scanner": site.scanner.model_copy(update={"serial": devices.scanner})})
 
 
 def profile_rate(rate_hz: float | None) -> tuple[str, ...]:

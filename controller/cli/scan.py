@@ -10,7 +10,7 @@ from typing import Annotated
 
 import typer
 
-from controller.calibrations.in_force import calibrated
+from controller.calibrations.in_force import calibrated, mock_names
 from controller.calibrations.record import Kind
 from controller.cli.dry_run import FAST_FACTOR, for_mocks, on_mock_cell
 from controller.config import SiteConfig, load_config
@@ -21,6 +21,7 @@ ConfigOption = Annotated[Path | None, typer.Option(help="The site file.")]
 ScannerOption = Annotated[str | None, typer.Option(help="A scanner with a bundled site: profiler2, scip_profiler.")]
 MockOption = Annotated[bool, typer.Option("--mock", help="Mock devices instead of the site's.")]
 SeedOption = Annotated[int, typer.Option(min=0, help="With --mock: where the car stands, and all noise.")]
+ErrorsOption = Annotated[str, typer.Option("--scenario", help="With --mock: whose calibration errors.")]
 WorldOption = Annotated[str, typer.Option(help="With --mock: one of " + ", ".join(SCENARIOS) + ".")]
 MockCellOption = Annotated[int | None, typer.Option(min=0, help="With --mock: which cell; the seed's own.")]
 FastOption = Annotated[bool, typer.Option("--fast", help=f"With --mock: {FAST_FACTOR:g} times as fast.")]
@@ -71,7 +72,8 @@ def cell_for(
     world = draw_scenario(scenario, site, load_port(site.port.model), seed, number)
     wires = closing.enter_context(tempfile.TemporaryDirectory(prefix="portdock-"))
     cell = MockCell(Path(wires), site, world, seed, pace, scanner_options=scanner_options)
-    return on_mock_cell(closing.enter_context(cell).config, seed if number is None else number), pace
+    devices = mock_names(seed if number is None else number, scenario)
+    return on_mock_cell(closing.enter_context(cell).config, devices), pace
 
 
 def show_quarters(label: str, fraction: float, detail: str) -> None:

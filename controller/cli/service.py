@@ -49,6 +49,7 @@ def run(
 
 def _run_on_mocks(site: SiteConfig, path: Path | None, fast: bool, scenario: str, seed: int) -> None:
     """The very daemon, with three mock processes at the far ends of its wires; its memory ends with their world."""
+    from controller.calibrations.in_force import mock_names
     from controller.cli.dry_run import FAST_FACTOR, for_mocks, on_mock_cell
     from controller.daemon.life import Setting, run_daemon  # see above
     from controller.mock_cell import MockCell
@@ -61,7 +62,8 @@ def _run_on_mocks(site: SiteConfig, path: Path | None, fast: bool, scenario: str
     with tempfile.TemporaryDirectory(prefix="portdock-") as folder:
         service = wide.service.model_copy(update={"state_folder": folder})
         with MockCell(Path(folder), wide.model_copy(update={"service": service}), world, seed, pace) as cell:
-            run_daemon(Setting(on_mock_cell(cell.config, seed), "mock", path), assemble_at(pace, 1))
+            site = on_mock_cell(cell.config, mock_names(seed, scenario))
+            run_daemon(Setting(site, "mock", path), assemble_at(pace, 1))
 
 
 def assemble_at(pace: float, heartbeat_mode: int) -> Assemble:

@@ -17,11 +17,11 @@ from controller.calibrations.store import CalibrationStore
 from controller.calibrations.words import pose_words
 from controller.cli.scan import (
     ConfigOption,
+    ErrorsOption,
     FastOption,
     MockCellOption,
     MockOption,
     SeedOption,
-    WorldOption,
     cell_for,
     show_quarters,
 )
@@ -34,7 +34,7 @@ def teach(
     config: ConfigOption = None,
     mock: MockOption = False,
     seed: SeedOption = 0,
-    scenario: WorldOption = "nominal",
+    scenario: ErrorsOption = "uncalibrated",
     mock_cell: MockCellOption = None,
     fast: FastOption = False,
 ) -> None:
@@ -52,7 +52,7 @@ def teach(
         folder = Path(closing.enter_context(tempfile.TemporaryDirectory(prefix="portdock-teach-")))
         cell, pace = cell_for(closing, site, mock, seed, scenario, fast, number=number, remade=("port",))
         taught = teach_port(cell, folder, show_quarters, pace=pace, heartbeat_mode=1 if mock else 3)
-    devices = mock_names(number) if mock else device_names(site)
+    devices = mock_names(number, scenario) if mock else device_names(site)
     one = Calibration(
         kind="port",
         pose=taught.T_port_tcp,

@@ -11,9 +11,16 @@ import pytest
 from typer.testing import CliRunner
 
 from controller.calibrations import store as store_module
-from controller.calibrations.in_force import calibrated, device_names, examine_calibrations, with_calibrations
+from controller.calibrations.in_force import (
+    calibrated,
+    device_names,
+    examine_calibrations,
+    mock_names,
+    with_calibrations,
+)
 from controller.calibrations.record import Calibration, CalibrationFileError, basis, from_yaml, to_yaml
 from controller.calibrations.store import CalibrationStore
+from controller.cli.dry_run import on_mock_cell
 from controller.cli.main import app
 from controller.config import SiteConfig, load_config
 from controller.doctor.examination import calibrations
@@ -117,6 +124,18 @@ def test_other_devices_and_old_age_are_refused_by_name(tmp_path: Path) -> None:
         calibrated(other)
     (old,) = examine_calibrations(config, now=datetime.now(UTC) + timedelta(days=181))
     assert "181 days old" in old.problem.cause
+
+
+@pytest.mark.parametrize(("scenario", "used"), [("uncalibrated", True), ("nominal", False), ("blocked", False)])
+def test_what_was_measured_on_an_uncalibrated_mock_cell_is_for_no_other_with_its_number(
+    tmp_path: Path, scenario: str, used: bool
+) -> None:
+    config = site(tmp_path)
+    one = replace(hand_eye(config), devices=mock_names(3, "uncalibrated"), measured=datetime.now(UTC))
+    CalibrationStore(Path(config.calibration.folder)).add(one)
+    found = on_mock_cell(config, mock_names(3, scenario))
+    assert (found.scanner.T_flange_scanner != config.scanner.T_flange_scanner) is used
+    assert on_mock_cell(config, mock_names(4, scenario)).scanner.T_flange_scanner == config.scanner.T_flange_scanner
 
 
 def test_a_port_taught_with_another_hand_eye_is_to_be_taught_again(tmp_path: Path) -> None:
