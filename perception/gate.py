@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from perception.distortion import UNDISTORTED, Distortion
 from perception.estimate import Prior, Verdict
 from perception.evidence import Evidence
 from perception.geometry import Array, Pose
@@ -21,6 +22,12 @@ MIN_BLOCKED = 0.4
 MIN_ROLL_VOTES = 6
 MIN_ROLL_MARGIN = 0.4
 MAX_ROLL_DISPUTE_RAD = float(np.deg2rad(0.6))
+MAX_SHEAR_RAD = float(np.deg2rad(0.9))
+MAX_STRETCH = 0.010
+MAX_LEAN_RAD = float(np.deg2rad(2.0))
+"""Good scans are within a third of these."""
+MIN_EXPLAINED = 0.3
+"""A distortion that takes away less of what contradicts a pose is none: things before the port pull at it."""
 _PRIOR_SLACK_M = 0.006
 _PRIOR_SLACK_RAD = float(np.deg2rad(3.0))
 
@@ -36,6 +43,7 @@ class Findings:
     margin: float
     roll_dispute_rad: float = 0.0
     """How far the roll that the edges alone would have is from the pose's."""
+    distortion: Distortion = UNDISTORTED
 
 
 def reasons_against(findings: Findings, prior: Prior, limits: AcceptanceLimits) -> tuple[str, ...]:
@@ -44,6 +52,7 @@ def reasons_against(findings: Findings, prior: Prior, limits: AcceptanceLimits) 
         *_outside_prior(findings.T_prior_port, prior),
         *_uncertain(findings, limits),
         *_unsupported(findings),
+        *_distorted(findings.distortion),
     )
 
 
@@ -125,6 +134,23 @@ def _unsupported(findings: Findings) -> list[str]:
     if findings.margin < MIN_MARGIN:
         found.append(f"another pose fits nearly as well (margin {findings.margin:.0%})")
     return found
+
+
+def _distorted(found: Distortion) -> list[str]:
+    """A scan out of proportion was not taken as its poses say; what is located in it is elsewhere."""
+    if found.explains < MIN_EXPLAINED:
+        return []
+    words = []
+    if found.shear_rad > MAX_SHEAR_RAD:
+        words.append(f"sheared by {_deg(found.shear_rad):.1f} deg")
+    for axis, stretch in (("x", found.stretch_x), ("y", found.stretch_y)):
+        if abs(stretch) > MAX_STRETCH:
+            words.append(f"{abs(stretch):.1%} too {'long' if stretch > 0 else 'short'} along {axis}")
+    if found.lean_rad > MAX_LEAN_RAD:
+        words.append(f"leaning by {_deg(found.lean_rad):.1f} deg")
+    if not words:
+        return []
+    return [f"the scan is {' and '.join(words)} against the port: check hand-eye and the sweep's speed"]
 
 
 def verdict(findings: Findings, against: tuple[str, ...]) -> Verdict:

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from perception.crop import Scene
+from perception.distortion import UNDISTORTED, Distortion, distortion
 from perception.edges import edge_rows
 from perception.errors import DegenerateCloudError
 from perception.geometry import Array, Pose
@@ -69,6 +70,8 @@ class Refined:
     """Robust standard deviation of the distances to surfaces."""
     roll_dispute_rad: float = 0.0
     """How far from this roll the port's edges alone would have it."""
+    distortion: Distortion = UNDISTORTED
+    """Of the scan around this pose."""
 
     @property
     def rms_m(self) -> float:
@@ -106,7 +109,11 @@ def refine(start: Pose, scene: Scene, model: PortModel, *, threads: int = 2) -> 
     if settled.angle_to(final.T_prior_port) > _DISPUTE_RAD:
         final = fit.rounds(settled, everything, final.scale_m, last)
         settled = settle_sideways(final.T_prior_port, everything, model, final.scale_m, first=1, points=6_000)
-    return replace(final, roll_dispute_rad=settled.angle_to(final.T_prior_port))
+    return replace(
+        final,
+        roll_dispute_rad=settled.angle_to(final.T_prior_port),
+        distortion=distortion(final.T_prior_port, everything, model, final.scale_m),
+    )
 
 
 def _gate(round_: int) -> float:

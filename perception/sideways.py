@@ -11,10 +11,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from perception.flats import Flats
 from perception.geometry import Array, Pose
+from perception.level_places import LevelPlaces, level_places
 from perception.matching import Measured
 from perception.port_model import PortModel
 
@@ -25,28 +25,12 @@ _PASSES = (
 )
 """(rolls around the best so far, cap, softness, steps) of each pass. A point further on the wrong side than the cap
 is something else, and says no more than one at that distance."""
-_FACING = 0.9
-_TELLS_SIGMAS = 5.0
+TELLS_SIGMAS = 5.0
 """Levels nearer to each other than so many standard deviations are one level."""
 _STRIDE_M = 0.001
 _NEAR_M = 0.0025
 _VALLEY = 0.1
 """How far up the slopes around the least cost are taken, as a share of their height."""
-_THROUGH_M = 0.001
-"""A ray passed through a flat when its point lies this much deeper."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Places:
-    """Places in the port's x-y plane, each with a level that it must be on (sign +1) or off (-1)."""
-
-    xy: Array
-    level: NDArray[np.int64]
-    sign: Array
-
-    def every(self, count: int) -> _Places:
-        step = max(1, len(self.xy) // count)
-        return _Places(self.xy[::step], self.level[::step], self.sign[::step])
 
 
 def settle_sideways(
@@ -57,8 +41,8 @@ def settle_sideways(
     :param scale_m: noise of the scan (1 sigma), which says how far off a level a point on it may lie.
     :param first: the pass to begin with: 0 looks 16 degrees around, 1 and 2 closer.
     """
-    flats = model.flats.merged(_TELLS_SIGMAS * scale_m)
-    places = _places(start, measured, flats, scale_m)
+    flats = model.flats.merged(TELLS_SIGMAS * scale_m)
+    places = level_places(start, measured, flats, scale_m)
     if len(places.xy) < 50:
         return start
     at = np.zeros(3)
@@ -69,35 +53,13 @@ def settle_sideways(
     return start @ Pose.from_rotvec([0.0, 0.0, at[2]], [at[0], at[1], 0.0])
 
 
-def _places(pose: Pose, measured: Measured, flats: Flats, scale_m: float) -> _Places:
-    """Points on flats, and where rays passed the levels above the flat that they ended on."""
-    inverse = pose.inverse()
-    if len(flats.heights) == 0:
-        return _Places(np.zeros((0, 2)), np.zeros(0, np.int64), np.zeros(0))
-    facing = inverse.rotate(measured.normals)[:, 2] > _FACING
-    local = inverse.apply(measured.points[facing])
-    sight = inverse.apply(measured.origins[facing]) - local
-    away = np.abs(local[:, 2:] - flats.heights)
-    level = away.argmin(axis=1)
-    on = away.min(axis=1) < 3 * scale_m
-    local, sight, level = local[on], sight[on], level[on]
-    rows = [_Places(local[:, :2], level, np.ones(len(local)))]
-    for k, height in enumerate(flats.heights):
-        deeper = local[:, 2] < height - max(_THROUGH_M, 4 * scale_m)
-        share = (height - local[deeper, 2]) / sight[deeper, 2]
-        xy = local[deeper, :2] + share[:, None] * sight[deeper, :2]
-        rows.append(_Places(xy, np.full(len(xy), k), np.full(len(xy), -1.0)))
-    xy, level, sign = (np.concatenate([getattr(row, name) for row in rows]) for name in _Places.__slots__)
-    return _Places(xy, level, sign)
-
-
-def _near_edges(places: _Places, flats: Flats, at: Array) -> _Places:
+def _near_edges(places: LevelPlaces, flats: Flats, at: Array) -> LevelPlaces:
     """Those that an edge is in reach of, from ``at``: the others say nothing about small moves."""
     near = np.abs(flats.beyond(places.level, _seen_from(places, at))) < _NEAR_M
-    return _Places(places.xy[near], places.level[near], places.sign[near])
+    return places.only(near)
 
 
-def _seen_from(places: _Places, at: Array) -> Array:
+def _seen_from(places: LevelPlaces, at: Array) -> Array:
     """The places (N, 2) in the frame of a port moved by (x, y, roll)."""
     c, s = np.cos(at[2]), np.sin(at[2])
     return np.asarray((places.xy - at[:2]) @ np.array([[c, -s], [s, c]]))
@@ -111,7 +73,7 @@ class _Descent:
     steps: int
 
 
-def _best(places: _Places, flats: Flats, start: Array, offsets: Array, how: _Descent) -> Array:
+def _best(places: LevelPlaces, flats: Flats, start: Array, offsets: Array, how: _Descent) -> Array:
     """The best (x, y, roll) among rolls ``offsets`` around ``start``, each moved to its best place."""
     found = [_moved(places, flats, start + np.array([0.0, 0.0, offset]), how) for offset in offsets]
     costs = np.array([cost for cost, _ in found])
@@ -135,7 +97,7 @@ def _middle_of_valley(offsets: Array, costs: Array) -> float:
     return float(np.mean(ends))
 
 
-def _moved(places: _Places, flats: Flats, at: Array, how: _Descent) -> tuple[float, Array]:
+def _moved(places: LevelPlaces, flats: Flats, at: Array, how: _Descent) -> tuple[float, Array]:
     """(cost, place) after a few steps across the axis, at the roll ``at[2]``."""
     best, where = np.inf, at
     for step in range(how.steps + 1):
