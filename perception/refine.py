@@ -102,7 +102,10 @@ def refine(start: Pose, scene: Scene, model: PortModel, *, threads: int = 2) -> 
     for round_ in range(last.start):
         matches = match(pose, some, model, threads)
         scale = _robust_scale(matches.distance, previous=scale)
-        pose = _moved(pose, _step(_equations(pose, matches, model, scale, _gate(round_))))
+        try:
+            pose = _moved(pose, _step(_equations(pose, matches, model, scale, _gate(round_))))
+        except DegenerateCloudError:
+            break  # so few points may leave the roll open where all of them do not
     pose = settle_sideways(pose, everything, model, scale, first=2, points=6_000)
     final = fit.rounds(pose, everything, scale, last)
     settled = settle_sideways(final.T_prior_port, everything, model, final.scale_m, first=1, points=6_000)
@@ -129,14 +132,24 @@ class _Fit:
     threads: int
 
     def rounds(self, pose: Pose, measured: Measured, scale: float, which: range) -> Refined:
-        """Moves ``pose`` by one step for each of the rounds ``which``."""
+        """Moves ``pose`` by one step for each of the rounds ``which``. Raises DegenerateCloudError in the first.
+
+        An edge tells only while points contradict it: rounds that leave nothing to correct end with the one before.
+        """
+        final: Refined | None = None
         for round_ in which:
             matches = match(pose, measured, self.model, self.threads)
             scale = _robust_scale(matches.distance, previous=scale)
             equations = _equations(pose, matches, self.model, scale, _gate(round_))
             equations = _with_nuisance(equations, matches, measured, self.scene, self.model)
-            pose = _moved(pose, _step(equations))
+            try:
+                pose = _moved(pose, _step(equations))
+            except DegenerateCloudError:
+                if final is None:
+                    raise
+                return final
             final = replace(equations, T_prior_port=pose)
+        assert final is not None  # ``which`` has a round
         return final
 
 

@@ -25,6 +25,17 @@ def test_a_round_port_whose_walls_pull_it_a_degree_off_is_found() -> None:
     assert np.rad2deg(found.T_ref_port.angle_to(scan.T_scanner_port)) < 0.3
 
 
+def test_a_clear_scan_of_a_round_port_is_found_though_few_of_its_points_leave_the_roll_open() -> None:
+    shapes = {name: load_port(name).shape for name in bundled_ports()}
+    case = next(case for case in positive_cases(45, list(shapes)) if case.number == 44)
+    scan = make_scan(case, 9, shapes)
+    found = locate(scan.cloud, PortModel.from_mesh(case.port, *build_mesh(shapes[case.port])), scan.prior)
+    assert (case.port, case.tier) == ("gbt_ac", "easy")
+    assert found.accepted
+    assert scan.T_scanner_port is not None
+    assert found.T_ref_port.distance_to(scan.T_scanner_port) < 0.0001
+
+
 def good(dispute_rad: float) -> Findings:
     evidence = Evidence(1000.0, 0.0, 0.0, 0.8, 10, 10, 0, 0.6, 0.0, 100, 0, 1.0)
     return Findings(Pose.identity(), np.diag([1e-10] * 6), 1e-4, evidence, 0.5, dispute_rad)
