@@ -15,11 +15,12 @@ from controller.port_models import port_model
 from controller.worker_process import begin_worker
 from perception.errors import PortdockError
 from perception.estimate import PortEstimate, Prior
-from perception.geometry import Array
+from perception.geometry import Array, Pose
 from perception.locate import locate
 from perception.port_model import PortModel
 from perception.rough import RoughPlace, find_roughly
-from perception.scan import Cloud, merge
+from perception.scan import Cloud
+from perception.views_locate import locate_views
 
 Value = TypeVar("Value")
 
@@ -110,5 +111,8 @@ def _find_roughly(cloud: Cloud, prior: Prior) -> RoughPlace:
 
 
 def _locate(clouds: tuple[Cloud, ...], prior: Prior) -> PortEstimate:
-    """The arm says where each scan was taken: as they come, they lie in one frame."""
-    return locate(merge(clouds), _Kept.model, prior)
+    """Several scans lie in one frame as the arm says: registration begins there, and ends where the newest lies."""
+    if len(clouds) == 1:
+        return locate(clouds[0], _Kept.model, prior)
+    newest_first = clouds[::-1]
+    return locate_views(newest_first, _Kept.model, prior, [Pose.identity()] * len(clouds)).estimate

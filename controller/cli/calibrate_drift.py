@@ -114,12 +114,14 @@ def _print_port(port: str, docks: list[Dock]) -> None:
     if found is None:
         typer.echo(f"{port}: {len(docks)} docks; the chart judges from {baseline + 1} on")
         return
-    typer.echo(f"{port}: {len(docks)} docks, the first {baseline} are the standard")
-    rows = zip(AXES, found.average[-1], found.centre, found.bound[-1], UNITS, found.alarms[-1], strict=True)
-    for axis, average, centre, bound, unit, alarmed in rows:
-        state = "OUT OF BOUNDS" if alarmed else "ok"
+    typer.echo(f"{port}: {len(docks)} docks, the first {found.standard} are the standard")
+    state = "OUT OF BOUNDS" if found.alarms[-1] else "ok"
+    typer.echo(f"  all axes together {found.distance[-1]:.1f} standard deviations off, of {found.limit:.1f}  {state}")
+    rows = zip(AXES, found.shift[-1], found.sigma[-1], UNITS, found.shifted[-1], strict=True)
+    for axis, shift, sigma, unit, shifted in rows:
+        state = "shifted" if shifted else ""
         name = "mm" if unit == UNITS[0] else "deg"
-        typer.echo(f"  {axis:12} {unit * (average - centre):+7.3f} {name} of +-{unit * bound:.3f}  {state}")
+        typer.echo(f"  {axis:12} {unit * shift:+7.3f} {name}, sigma {unit * sigma:.3f}  {state}".rstrip())
 
 
 def _draw(docks: list[Dock], path: Path) -> None:
@@ -133,8 +135,9 @@ def _draw(docks: list[Dock], path: Path) -> None:
     for row, (port, found) in zip(panels, judged.items(), strict=False):
         for k, (panel, axis) in enumerate(zip(row, AXES, strict=True)):
             dock = np.arange(len(found.average)) + ChartSettings().baseline + 1
-            panel.plot(dock, UNITS[k] * (found.average[:, k] - found.centre[k]), ".-")
+            panel.plot(dock, UNITS[k] * found.shift[:, k], ".-")
             for sign in (-1.0, 1.0):
-                panel.plot(dock, sign * UNITS[k] * found.bound[:, k], color="tab:red", linewidth=0.8)
+                bound = sign * found.limit * UNITS[k] * found.sigma[:, k]
+                panel.plot(dock, bound, color="tab:red", linewidth=0.8)
             panel.set(title=f"{port}: {axis}", xlabel="dock", ylabel="mm" if k < 3 else "deg")
     figure.savefig(path, dpi=100)

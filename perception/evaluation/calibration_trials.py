@@ -165,6 +165,6 @@ def drift_trial(seed: int) -> DriftTrial:
     offsets[good:] += bump
     found = chart([Dock("ccs2", offset) for offset in offsets])
     assert found is not None, "there are docks enough"
-    alarms = np.logical_or.reduce(found.alarms, axis=1)
+    alarms = found.alarms
     warned = np.flatnonzero(alarms[GOOD_DOCKS:])
     return DriftTrial(bool(alarms[:GOOD_DOCKS].any()), int(warned[0]) + 1 if len(warned) else None)

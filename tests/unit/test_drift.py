@@ -29,6 +29,25 @@ def test_no_false_alarm_in_500_good_docks_in_19_of_20_cells() -> None:
     assert alarmed <= 1
 
 
+def test_a_slow_drift_is_warned_of_though_the_standard_grows_with_it() -> None:
+    """Of a standard deviation in 30 docks: the standard must not swallow it."""
+    creeping = [
+        Dock("ccs2", dock.offset + n / 30.0 * SIGMA * np.eye(6)[0]) for n, dock in enumerate(docks(200, seed=4))
+    ]
+    found = chart(creeping)
+    assert found is not None
+    assert found.alarms[-1]
+    assert found.shifted[-1].tolist() == [True, False, False, False, False, False]
+
+
+def test_the_standard_grows_to_a_hundred_docks_and_not_over_an_alarm() -> None:
+    assert [chart(docks(n)).standard for n in (21, 40, 300)] == [20, 29, 100]
+    found = chart(docks(90, bumped_from=40, seed=2))
+    assert found is not None
+    assert found.alarms[-1]
+    assert found.standard < 40
+
+
 def test_a_bump_is_reported_within_five_docks() -> None:
     for seed in range(20):
         found = chart(docks(60 + 5, bumped_from=60, seed=seed))

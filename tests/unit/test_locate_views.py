@@ -13,6 +13,7 @@ from controller.port_models import port_model
 from perception.errors import InputError, PortdockError
 from perception.evaluation.locate_views import TwoViews, two_views
 from perception.geometry import Pose, exp
+from perception.scan import Cloud
 from perception.views_joint import register_views
 from perception.views_locate import locate_views
 
@@ -40,6 +41,19 @@ def test_the_merged_scan_holds_both_and_the_port_is_found_in_it(views: TwoViews)
     found = locate_views(views.clouds, port_model(PORT), views.prior, views.T_first_view)
     assert len(found.cloud) == sum(len(cloud) for cloud in views.clouds)
     assert found.used == (True, True)
+    assert found.estimate.T_ref_port.distance_to(views.T_view_port[0]) < 0.0005
+
+
+@pytest.mark.parametrize("kept", [0.02, 0.0], ids=["glare", "nothing near the port"])
+def test_a_view_that_shows_hardly_anything_of_the_port_does_no_harm(views: TwoViews, kept: float) -> None:
+    seen, blinded = views.clouds
+    away = np.linalg.norm(views.T_view_port[1].inverse().apply(blinded.points), axis=1) > 0.08
+    few = away | (np.random.default_rng(0).random(len(away)) < kept)
+    assert blinded.origins is not None
+    poor = Cloud(blinded.points[few], blinded.frame, blinded.origins[few])
+    found = locate_views([seen, poor], port_model(PORT), views.prior, views.T_first_view)
+    assert not found.alone[1].accepted
+    assert found.estimate.accepted
     assert found.estimate.T_ref_port.distance_to(views.T_view_port[0]) < 0.0005
 
 
