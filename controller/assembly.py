@@ -18,7 +18,8 @@ from controller.perception_worker import PerceptionWorker, PreparedModel
 from controller.port_files import load_port
 from controller.rough_look import CoarseStage
 from controller.scanner_facts import scanner_facts
-from controller.supervisor import Sources, Supervisor
+from controller.sources import Sources
+from controller.supervisor import Supervisor
 from drivers.base import ByteSink, Clock, MonotonicClock
 from drivers.processor_time import keep_out_of_collections, keep_time
 from perception.geometry import Pose

@@ -10,8 +10,8 @@ import logging
 from collections.abc import Callable
 
 from controller.commands import BackOff
-from controller.safety import STILL_M_S
 from controller.self_check import before_port
+from controller.situation import STILL_M_S
 from controller.task import Task
 from perception.errors import PortdockError
 

@@ -26,7 +26,8 @@ from controller.commands import (
 )
 from controller.faults import FaultCode, MissionFault
 from controller.planning import ReachCheck
-from controller.safety import Limits, Situation, check, makes_safe
+from controller.safety import check, makes_safe
+from controller.situation import Limits, Situation
 from controller.states import State
 from controller.supervisor import Supervisor
 from drivers.base import (

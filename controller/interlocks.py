@@ -29,7 +29,7 @@ class Snapshot:
     scanner_problem: str
     overdue: str
     """What the state's deadline says; empty while there is time."""
-    late_s: float
+    late_s: float = 0.0
     """How late this tick came."""
     stall_s: float = 0.5
     """A tick later than this means that the host was suspended or starved."""

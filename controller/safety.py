@@ -1,12 +1,10 @@
-"""The gate: may this command be given now? Pure; every limit in one place; asked right before every driver call.
+"""The gate: may this command be given now? Pure; limits in ``situation.py``; asked right before every driver call.
 
 The gate reduces damage and nuisance. It is not a safety function: the emergency stop and the protective fields are
 hard-wired, and the robot's and the charger's own interlocks give safety.
 """
 
 from __future__ import annotations
-
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -25,59 +23,10 @@ from controller.commands import (
     StopMotion,
     ZeroForce,
 )
+from controller.situation import CONTACT_DEPTH_M, LIVE_CURRENT_A, STILL_M_S, Limits, Refusal, Situation
 from controller.states import IN_CONTACT, State
-from drivers.base import ArmState, ChargerRequest, ChargerStatus, PlugLock, Proximity, RobotMode, SafetyMode
+from drivers.base import ChargerRequest, ChargerStatus, PlugLock, Proximity, RobotMode, SafetyMode
 from perception.geometry import Array, Pose
-
-CONTACT_DEPTH_M = 0.0
-"""Plug depth from which it counts as inserted: its front face has passed the rim plane."""
-STILL_M_S = 0.002
-"""A TCP slower than this is at rest."""
-LIVE_CURRENT_A = 1.0
-"""Below this current a contactor may be opened and a plug pulled."""
-
-
-@dataclass(frozen=True, slots=True)
-class Limits:
-    """Every bound the gate enforces, SI."""
-
-    workspace_min_m: tuple[float, float, float]
-    workspace_max_m: tuple[float, float, float]
-    joint_speed_rad_s: float
-    linear_speed_m_s: float
-    insertion_speed_m_s: float
-    withdraw_speed_m_s: float
-    insertion_turn_rad_s: float
-    axial_force_n: float
-    lateral_force_n: float
-    moment_nm: float
-    capture_radius_m: float
-    """No lateral motion beyond this while the plug is inserted."""
-    touch_force_n: float = 10.0
-    """A larger force on the plug is contact."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Situation:
-    """What the gate judges by. None means: not known freshly."""
-
-    state: State
-    arm: ArmState | None
-    charger: ChargerStatus | None
-    T_base_port: Pose | None = None
-    """The port pose of the current plan, or the stored insertion axis."""
-    mated: bool = False
-
-
-@dataclass(frozen=True, slots=True)
-class Refusal:
-    """Why the gate said no."""
-
-    rule: str
-    detail: str
-
-    def __str__(self) -> str:
-        return f"{self.rule}: {self.detail}"
 
 
 def check(command: Command, now: Situation, limits: Limits) -> Refusal | None:

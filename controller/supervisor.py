@@ -12,43 +12,19 @@ import logging
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
-from typing import TypeVar
+from dataclasses import dataclass, replace
 
 from controller.faults import Fault, FaultCode, MissionFault
+from controller.heartbeat import HEARTBEAT_S, Facts, Rhythm, beat
 from controller.interlocks import Snapshot, assess, pause_reason
+from controller.sources import Sources
 from controller.states import PAUSES, STOPS, Event, State
-from drivers.base import Arm, Charger, Clock, DriverError, Heartbeat, SafetyMode, Scanner
+from drivers.base import Clock, DriverError
 from perception.errors import PortdockError
 
 log = logging.getLogger(__name__)
 
-Value = TypeVar("Value")
-
 TICK_S = 0.01
-HEARTBEAT_S = 0.05
-
-
-@dataclass(frozen=True, slots=True)
-class Sources:
-    """The devices that the tick looks at."""
-
-    arm: Arm
-    charger: Charger
-    scanner: Scanner
-
-
-@dataclass(slots=True)
-class Facts:
-    """What the mission knows and the heartbeat tells; set by the mission, read by the tick."""
-
-    state: State = State.OFFLINE
-    deadline_s: float | None = None
-    mode: int = 1
-    cycle_id: int = 0
-    tool_holds_plug: bool = True
-    clear_of_vehicle: bool = True
-    mated: bool = False
 
 
 class StopRequested(Exception):
@@ -88,7 +64,7 @@ class Supervisor:
         self._request = _Request()
         self._trip: Fault | None = None
         self._backing_off = False
-        self._beat_due_s = wall_clock.now_s()
+        self._rhythm = Rhythm(wall_clock, HEARTBEAT_S, 0.5 * TICK_S)
         self._ticks = 0
         self._begun_s = wall_clock.now_s()
         """When the newest tick began."""
@@ -254,7 +230,7 @@ class Supervisor:
             self._latch(fault)
         elif (self._trip is None or backing_off) and seen.state not in (State.OFFLINE, State.FAULT):
             self._kick_watchdog()
-        if self._heartbeat_is_due():
+        if self._rhythm.is_due():
             self._send_heartbeat(seen)
             self._alive()
         self._ticks += 1
@@ -268,26 +244,8 @@ class Supervisor:
         A process that does not run for a while may stop anywhere, inside a tick too: the time counts from the tick
         before until the links have been asked, or their silence meanwhile would be taken for the fault.
         """
-        arm, arm_problem = _asked(self._sources.arm.state)
-        charger, charger_problem = _asked(self._sources.charger.status)
-        scanner = self._sources.scanner.health()
-        facts = self._facts
-        deadline_s = facts.deadline_s
-        overdue = ""
-        if deadline_s is not None and self._clock.now_s() > deadline_s:
-            overdue = f"{facts.state.name} took longer than allowed"
-        return Snapshot(
-            facts.state,
-            arm,
-            arm_problem,
-            charger,
-            charger_problem,
-            scanner.up,
-            scanner.detail,
-            overdue,
-            self._late_s(due_s),
-            self._stall_s,
-        )
+        seen = self._sources.seen(self._facts, self._clock.now_s())
+        return replace(seen, late_s=self._late_s(due_s), stall_s=self._stall_s)
 
     def _late_s(self, due_s: float) -> float:
         return max(0.0, self._wall.now_s() - due_s)
@@ -300,16 +258,16 @@ class Supervisor:
             self._trip = fault
             self._changed.notify_all()
         log.error("trip in %s: %s", self._facts.state.name, fault)
-        try:
-            self._sources.arm.stop()
-        except PortdockError as error:
-            log.error("the arm did not take the stop: %s; its watchdog stops it", error)
+        self._stop_arm()
 
     def _end_backing_off(self, fault: Fault) -> None:
         if not self._backing_off:
             return
         self._backing_off = False
         log.error("backing off ends: %s", fault)
+        self._stop_arm()
+
+    def _stop_arm(self) -> None:
         try:
             self._sources.arm.stop()
         except PortdockError as error:
@@ -321,44 +279,8 @@ class Supervisor:
         except DriverError as error:
             self._latch(Fault(FaultCode.ARM_LINK_LOST, error.cause))
 
-    def _heartbeat_is_due(self) -> bool:
-        """Every fifth tick; by the clock, so that ticks which come late or early do not shift the period."""
-        now_s = self._wall.now_s()
-        if now_s < self._beat_due_s - 0.5 * TICK_S:
-            return False
-        self._beat_due_s += HEARTBEAT_S
-        if self._beat_due_s <= now_s:
-            self._beat_due_s = now_s + HEARTBEAT_S
-        return True
-
     def _send_heartbeat(self, seen: Snapshot) -> None:
         try:
-            self._sources.charger.heartbeat(self._beat(seen))
+            self._sources.charger.heartbeat(beat(self._facts, seen, self._trip is not None))
         except DriverError as error:
             log.debug("heartbeat not sent: %s", error)  # the charger's silence trips through status()
-
-    def _beat(self, seen: Snapshot) -> Heartbeat:
-        facts, arm = self._facts, seen.arm
-        normal = arm is not None and arm.safety in (SafetyMode.NORMAL, SafetyMode.REDUCED)
-        protective = arm is not None and arm.safety is SafetyMode.PROTECTIVE_STOP
-        bits = (
-            normal,
-            protective,
-            facts.tool_holds_plug,
-            facts.state in (State.READY, State.SELF_CHECK),
-            facts.clear_of_vehicle,
-            facts.mated,
-            seen.scanner_up,
-            arm is not None,
-            arm is not None and arm.moving,
-        )
-        mode = 15 if self._trip is not None or facts.state is State.FAULT else facts.mode
-        flags = sum(1 << k for k, bit in enumerate(bits) if bit)
-        return Heartbeat(mode, int(facts.state), flags, facts.cycle_id)
-
-
-def _asked(ask: Callable[[], Value]) -> tuple[Value | None, str]:
-    try:
-        return ask(), ""
-    except DriverError as error:
-        return None, error.cause

@@ -12,8 +12,8 @@ from controller.commands import Announce, AskCharger, MoveLinear, StopMotion
 from controller.durable import forget_insertion
 from controller.faults import FaultCode, MissionFault
 from controller.planning import DockPlan
-from controller.safety import LIVE_CURRENT_A
 from controller.self_check import OFF_AXIS_M
+from controller.situation import LIVE_CURRENT_A
 from controller.states import Event
 from controller.task import Task
 from controller.withdrawal import withdraw

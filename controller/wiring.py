@@ -14,9 +14,9 @@ from controller.config import SiteConfig
 from controller.config_section import ConfigError
 from controller.planning import ReachCheck
 from controller.recording.reader import Recording
-from controller.safety import Limits
 from controller.scanner_config import ScannerConfig
 from controller.scanner_files import load_scanner
+from controller.situation import Limits
 from drivers.arm.approach import why_not
 from drivers.arm.kinematics import JointLimits
 from drivers.arm.played_links import PlayedLinks, Window

@@ -14,10 +14,10 @@ import numpy as np
 
 from controller.cell import Cell
 from controller.config import SiteConfig, load_config
+from controller.heartbeat import Facts
 from controller.planning import DockPlan, plan_on_axis
 from controller.port_files import load_port
 from controller.states import State
-from controller.supervisor import Facts
 from controller.wiring import limits_of
 from drivers.base import (
     ArmState,

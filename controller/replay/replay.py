@@ -23,8 +23,8 @@ from controller.replay.evidence import ReplayEvidence
 from controller.replay.story import Story, story_of
 from controller.replay.ticking import ReplaySupervisor
 from controller.rough_look import CoarseStage
+from controller.sources import Sources
 from controller.states import State
-from controller.supervisor import Sources
 from drivers.playback import EndOfRecording, Playback
 from perception.estimate import PortEstimate, Prior
 from perception.rough import RoughPlace

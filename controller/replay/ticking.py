@@ -15,8 +15,9 @@ from controller.faults import Fault, MissionFault
 from controller.recording.values import Transition
 from controller.replay.evidence import DECISION, STATE, WAIT
 from controller.replay.story import Story
+from controller.sources import Sources
 from controller.states import STOPS, Event
-from controller.supervisor import TICK_S, Sources, StopRequested, Supervisor
+from controller.supervisor import TICK_S, StopRequested, Supervisor
 from drivers.base import Clock
 from drivers.playback import EndOfRecording, Playback
 

@@ -23,8 +23,9 @@ from contextlib import contextmanager
 import numpy as np
 import pytest
 
+from controller.sources import Sources
 from controller.states import State
-from controller.supervisor import Sources, Supervisor
+from controller.supervisor import Supervisor
 from drivers.arm.ur import UrArm
 from drivers.base import (
     ArmState,

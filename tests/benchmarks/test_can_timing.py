@@ -18,8 +18,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from controller.sources import Sources
 from controller.states import State
-from controller.supervisor import Sources, Supervisor
+from controller.supervisor import Supervisor
 from drivers.arm.ur import UrArm
 from drivers.base import ArmState, ChargerRequest, MonotonicClock
 from drivers.charger.contract import Contract

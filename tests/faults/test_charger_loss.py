@@ -16,7 +16,8 @@ import pytest
 
 from controller.commands import BackOff
 from controller.faults import FaultCode, Outcome
-from controller.safety import Situation, check
+from controller.safety import check
+from controller.situation import Situation
 from controller.states import Event, State, next_state
 from drivers.base import ChargerRequest, MotionProgress, SafetyMode
 from perception.geometry import Pose

@@ -35,6 +35,7 @@ LIBRARIES = (cantools, hypothesis, np, scipy.spatial.transform)
 TESTS = {
     "controller/states.py": ("states",),
     "controller/safety.py": ("safety", "safety_limits"),
+    "controller/situation.py": ("safety", "safety_limits"),
     "drivers/arm/rtde_stream.py": ("arm_wire",),
     "drivers/charger/e2e.py": ("e2e",),
     "drivers/charger/messages.py": ("charger_messages", "charger_fd"),

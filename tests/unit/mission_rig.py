@@ -20,8 +20,9 @@ from controller.insertion import Insertion
 from controller.mission import Mission
 from controller.pace import PacedClock
 from controller.planning import FACING
-from controller.safety import Limits
-from controller.supervisor import Sources, Supervisor
+from controller.situation import Limits
+from controller.sources import Sources
+from controller.supervisor import Supervisor
 from controller.task import Goal, Progress
 from drivers.base import (
     ArmState,

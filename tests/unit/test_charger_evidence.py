@@ -18,7 +18,8 @@ from controller.recording.candump import candump_text
 from controller.recording.reader import read_recording
 from controller.recording.recorder import Recorder
 from controller.session import CHARGER_LOSS_NAME, keep_charger_loss
-from controller.supervisor import Sources, Supervisor
+from controller.sources import Sources
+from controller.supervisor import Supervisor
 from controller.wiring import build_devices
 from drivers.base import CanFrame, ChargerState, LinkLostError, MonotonicClock, NullSink
 from drivers.charger.can_charger import CanCharger

@@ -10,8 +10,9 @@ from controller.recording.values import Transition
 from controller.replay.evidence import STATE, WAIT
 from controller.replay.story import Asked, Story
 from controller.replay.ticking import ReplaySupervisor
+from controller.sources import Sources
 from controller.states import State
-from controller.supervisor import Sources, StopRequested
+from controller.supervisor import StopRequested
 from controller.task import Goal
 from drivers.playback import EndOfRecording, Playback
 from tests.unit.mission_rig import StandInArm, StandInCharger, StandInScanner

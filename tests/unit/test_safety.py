@@ -24,7 +24,8 @@ from controller.commands import (
     ZeroForce,
 )
 from controller.planning import FACING
-from controller.safety import Limits, Situation, check, makes_safe
+from controller.safety import check, makes_safe
+from controller.situation import Limits, Situation
 from controller.states import State
 from drivers.base import (
     ArmState,

@@ -9,7 +9,7 @@ import pytest
 
 from controller.commands import AskCharger, BackOff, Command, MoveJoints, MoveLinear, MoveVelocity, ZeroForce
 from controller.planning import FACING
-from controller.safety import CONTACT_DEPTH_M, LIVE_CURRENT_A, STILL_M_S, Situation
+from controller.situation import CONTACT_DEPTH_M, LIVE_CURRENT_A, STILL_M_S, Situation
 from controller.states import State
 from drivers.base import ChargerRequest, PlugLock, Proximity
 from perception.geometry import Pose

@@ -8,8 +8,9 @@ import pytest
 
 from controller.config import load_config
 from controller.faults import FaultCode, MissionFault
+from controller.sources import Sources
 from controller.states import State
-from controller.supervisor import Sources, Supervisor
+from controller.supervisor import Supervisor
 from drivers.base import ArmState, LinkLostError
 from tests.unit.mission_rig import CLOCK, StandInArm, StandInCharger, StandInScanner
 

@@ -5,8 +5,9 @@ from __future__ import annotations
 import time
 
 from controller.config import load_config
+from controller.sources import Sources
 from controller.states import State
-from controller.supervisor import TICK_S, Sources, Supervisor
+from controller.supervisor import TICK_S, Supervisor
 from tests.unit.mission_rig import CLOCK, StandInArm, StandInCharger, StandInScanner
 
 WAKES = 200

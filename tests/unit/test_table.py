@@ -19,7 +19,8 @@ from controller.faults import EVENT_OF, REMEDIES, Fault, FaultCode
 from controller.insertion import CLEAR_M
 from controller.interlocks import MOVING_STATES, PAUSABLE_STATES
 from controller.mission import STEPS
-from controller.safety import Situation, check
+from controller.safety import check
+from controller.situation import Situation
 from controller.states import IN_CONTACT, LATCHING, RESTING, TRANSITIONS, Event, State, next_state
 from drivers.base import ChargerRequest, PlugLock, Proximity
 from perception.geometry import Pose
