@@ -116,7 +116,7 @@ class Cell:
             raise self.explained(_LINK_OF.get(type(command), FaultCode.ARM_LINK_LOST), error.cause) from error
         except PortdockError as error:
             raise self.explained(FaultCode.MOTION_FAILED, error.cause) from error
-        if isinstance(command, Motion) and self.supervisor.trip is not None:
+        if isinstance(command, Motion) and self.supervisor.tripped_meanwhile:
             self.arm.stop()
             self._raise_trip()
 

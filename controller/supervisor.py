@@ -134,6 +134,11 @@ class Supervisor:
         return self._trip
 
     @property
+    def tripped_meanwhile(self) -> bool:
+        """Whether there is a trip now that a command has been given."""
+        return self._trip is not None
+
+    @property
     def ticks(self) -> int:
         """How many ticks there have been."""
         return self._ticks

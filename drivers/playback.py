@@ -15,6 +15,9 @@ from itertools import takewhile
 
 Deliver = Callable[[], None]
 
+ARM = "arm"
+"""Cue: a command was given to the arm."""
+
 
 class EndOfRecording(BaseException):
     """More is asked for than was recorded. No ``Exception``: no handler of a fault takes it for one."""
@@ -28,6 +31,8 @@ class Playback:
         self._due: deque[tuple[float, int, Deliver]] = deque()
         self._cues: dict[str, deque[float]] = {}
         self._streams = 0
+        self.pass_time: Callable[[float], None] = self.run_until
+        """How time passes while a device holds up its caller: whoever ticks meanwhile goes on ticking."""
 
     def now_s(self) -> float:
         """Recorded time of the host's monotonic clock."""

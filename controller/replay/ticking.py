@@ -19,7 +19,7 @@ from controller.sources import Sources
 from controller.states import STOPS, Event
 from controller.supervisor import TICK_S, StopRequested, Supervisor
 from drivers.base import Clock
-from drivers.playback import EndOfRecording, Playback
+from drivers.playback import ARM, EndOfRecording, Playback
 
 EARLY_S = 2.0
 """What has come so much before the recording's wait ended is waited for with it."""
@@ -39,6 +39,7 @@ class ReplaySupervisor(Supervisor):
     ) -> None:
         super().__init__(sources, mission_clock, playback, stall_s)
         self._playback = playback
+        playback.pass_time = self._pass_time
         self._waits_are_known = playback.next_cue_s(WAIT) < math.inf
         self.coming_fault: Callable[[], Transition | None] = lambda: None
         """The recording's next transition, if the mission only makes safe before it enters FAULT."""
@@ -83,6 +84,14 @@ class ReplaySupervisor(Supervisor):
             while self._trip is None and self._playback.now_s() < end_s:
                 self._pass_time(min(self._playback.now_s() + TICK_S, end_s))
         return self._trip
+
+    @property
+    def tripped_meanwhile(self) -> bool:
+        """As in the mission: one that stopped the arm once more before it entered FAULT had tripped by then."""
+        fault = self.coming_fault()
+        if fault is not None and self._playback.next_cue_s(ARM) < fault.time_s:
+            return self.trip is not None
+        return self._trip is not None
 
     def _let_end(self, until: Callable[[], bool], recorded_s: float) -> bool:
         """Stay until the recorded end of the wait if it is near, and look once more at what came meanwhile."""
