@@ -186,7 +186,7 @@ def _check_bounds(command: Motion, now: Situation, limits: Limits) -> Refusal | 
                 return Refusal("speed", f"{np.rad2deg(speed):.1f} deg/s")
             return _check_target(target, limits)
         case MoveLinear(T_base_tcp=target, speed_m_s=speed):
-            fastest = limits.withdraw_speed_m_s if _plug_inserted(now) else limits.linear_speed_m_s
+            fastest = limits.withdraw_speed_m_s if plug_inserted(now) else limits.linear_speed_m_s
             if not 0 < speed <= fastest:
                 return Refusal("speed", f"{speed * 1000:.1f} mm/s, at most {fastest * 1000:.1f}")
             return _check_target(target, limits)
@@ -239,7 +239,7 @@ def _depth_m(T_base_tcp: Pose, T_base_port: Pose) -> float:
     return -float(T_base_port.inverse().apply(T_base_tcp.translation)[2])
 
 
-def _plug_inserted(now: Situation) -> bool:
+def plug_inserted(now: Situation) -> bool:
     """True unless the proximity contact says that the plug is out and, from contact on, the arm's pose says so too."""
     if now.charger is None or now.charger.proximity is not Proximity.ABSENT:
         return True
@@ -252,7 +252,7 @@ def _plug_inserted(now: Situation) -> bool:
 
 def _check_inserted(command: Motion, now: Situation, limits: Limits) -> Refusal | None:
     """With the plug in: only along the port's axis, and out only when it is neither locked nor live."""
-    if not _plug_inserted(now) or now.arm is None:
+    if not plug_inserted(now) or now.arm is None:
         return None
     if now.state is State.RETREATING:
         if now.charger is None or now.charger.lock is not PlugLock.UNLOCKED:

@@ -12,6 +12,7 @@ from controller.commands import Announce, AskCharger, MoveLinear, StopMotion
 from controller.durable import forget_insertion
 from controller.faults import FaultCode, MissionFault
 from controller.planning import DockPlan
+from controller.safety import plug_inserted
 from controller.self_check import OFF_AXIS_M
 from controller.situation import LIVE_CURRENT_A
 from controller.states import Event
@@ -51,6 +52,7 @@ def retreat(task: Task) -> Event:
     patience_s = task.config.deadlines.retreating_s
     cell.do(StopMotion())
     plan = _known_axis(task)
+    _refuse_if_locked(task)
     withdraw(cell, plan, insertion, patience_s)
     if not cell.supervisor.wait(lambda: cell.charger_says(lambda s: s.proximity is Proximity.ABSENT), patience_s / 2.0):
         raise MissionFault(FaultCode.WITHDRAWAL_BLOCKED, "the plug is out, but the proximity contact still reports it")
@@ -69,6 +71,14 @@ def _known_axis(task: Task) -> DockPlan:
     if sensed and (arm is None or plan.lateral_m(arm.T_base_tcp) > OFF_AXIS_M):
         raise MissionFault(FaultCode.AXIS_UNKNOWN, "the arm does not stand on the stored insertion axis")
     return plan
+
+
+def _refuse_if_locked(task: Task) -> None:
+    """A lock that jammed, on its way shut too, needs a person. Raises MissionFault (release-failed)."""
+    now = task.cell.situation()
+    if now.charger is not None and now.charger.lock is not PlugLock.UNLOCKED and plug_inserted(now):
+        lock = now.charger.lock.name.lower()
+        raise MissionFault(FaultCode.RELEASE_FAILED, f"the plug's lock is {lock}: what may be locked is not pulled")
 
 
 def _forget(task: Task) -> None:

@@ -178,6 +178,7 @@ class StandInCharger:
         self._arm = arm
         self.lost = False
         self.lock_jams = False
+        self.lock_stops_halfway = False
         self.gives_current = True
         self.full = False
         self.welded = False
@@ -227,6 +228,8 @@ class StandInCharger:
     def request(self, request: ChargerRequest, argument: int = 0) -> int:
         self.requests.append(request)
         match request:
+            case ChargerRequest.LOCK_PLUG | ChargerRequest.UNLOCK_PLUG if self.lock_stops_halfway:
+                self._lock = PlugLock.FAULT
             case ChargerRequest.LOCK_PLUG if not self.lock_jams:
                 self._lock = PlugLock.LOCKED
             case ChargerRequest.UNLOCK_PLUG:

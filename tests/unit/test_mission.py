@@ -95,6 +95,16 @@ def test_a_blocked_port_that_is_not_found_again_is_still_called_blocked(tmp_path
     assert rig.watch.states.count("INSERTING") == 1
 
 
+def test_a_lock_that_jams_on_its_way_shut_is_not_pulled_against_and_a_person_is_asked_for(tmp_path: Path) -> None:
+    rig = Rig(tmp_path)
+    rig.charger.lock_stops_halfway = True
+    outcome = rig.run()
+    assert outcome.kind == "intervention-needed"
+    assert outcome.fault is not None and outcome.fault.code is FaultCode.RELEASE_FAILED
+    assert "the plug's lock is fault" in outcome.fault.detail
+    assert rig.arm.depth_m == pytest.approx(MATED_DEPTH_M, abs=1e-5)
+
+
 def test_a_plug_that_the_charger_does_not_lock_is_not_mated(tmp_path: Path) -> None:
     rig = Rig(tmp_path)
     rig.charger.lock_jams = True
