@@ -33,12 +33,19 @@ _PANEL_CELLS = 300
 _PROUD_M = 0.009
 _THICK_M = 0.0025
 """Points within this of a plane belong to it."""
+_PLANES = 6
+"""Flat things that are looked at, the largest first."""
+_POCKET_M = 0.045
+"""No pocket ends nearer to the port's axis."""
+_SKIN_SLOPE = 0.15
+_SIDE_CELLS = 15
 _TRIALS = 400
 _MIN_POINTS = 60
 _MIN_SPAN_M = 0.03
 _HINGE_M = (0.025, 0.15)
 """Distance of the hinge from the port's origin."""
-_OPENING_RAD = (1.25, 3.05)
+_OPENING_RAD = (1.25, 2.92)
+"""One that is turned back farther lies on the panel, out of the way."""
 _FLAP_M = 0.17
 _PAD_M = 0.006
 _BEHIND_M = (0.007, 0.022)
@@ -80,17 +87,34 @@ def find_cover(cloud: Cloud, estimate: PortEstimate) -> OpenCover | None:
     thin = np.asarray(small_gicp.voxelgrid_sampling(local[near], _VOXEL_M, 1).points())[:, :3]
     if not _panel_is_seen(thin):
         return None
-    proud = _without_strays(thin[thin[:, 2] - _panel_height(thin) > _PROUD_M])
     rng = np.random.default_rng(0)  # the same scan gives the same answer
-    for _ in range(4):
+    level, everything = _panel_level(thin), _without_strays(thin[thin[:, 2] - _panel_height(thin) > _PROUD_M])
+    proud = everything
+    found = list[OpenCover]()
+    for _ in range(_PLANES):
         if len(proud) < _MIN_POINTS:
-            return None
+            break
         plane, on_plane = _plane(proud, rng)
-        found = _as_cover(plane, proud, on_plane, _panel_level(thin), estimate.T_ref_port)
-        if found is not None:
-            return found
+        if _is_skin(plane, proud[on_plane]):  # what lay below was the pocket: begin anew above this
+            level, found = plane[3] / plane[2], []
+            proud = everything = _without_strays(thin[(thin @ plane[:3] - plane[3]) / plane[2] > _PROUD_M])
+            continue
+        cover = _as_cover(plane, proud[on_plane], everything, level, estimate.T_ref_port)
+        found += [] if cover is None else [cover]
         proud = proud[~on_plane]
-    return None
+    # Two at different sides are walls of the pocket that the inlet lies in.
+    return found[0] if len({cover.side for cover in found}) == 1 else None
+
+
+def _is_skin(plane: Array, points: Array) -> bool:
+    """Whether a plane is the vehicle's skin around the pocket: hardly tilted, large, and on three sides of the port."""
+    x, y = points[:, 0], points[:, 1]
+    outside = np.hypot(x, y) > _POCKET_M
+    if np.hypot(plane[0], plane[1]) > _SKIN_SLOPE * abs(plane[2]) or outside.sum() < _PANEL_CELLS:
+        return False
+    wide, far = np.abs(x) >= np.abs(y), outside
+    sides = [far & wide & (x > 0), far & wide & (x < 0), far & ~wide & (y > 0), far & ~wide & (y < 0)]
+    return sum(int(side.sum()) >= _SIDE_CELLS for side in sides) >= 3
 
 
 def _panel_is_seen(points: Array) -> bool:
@@ -149,11 +173,11 @@ def _plane(points: Array, rng: np.random.Generator) -> tuple[Array, NDArray[np.b
     return np.append(n, n @ middle), on_plane
 
 
-def _as_cover(
-    plane: Array, proud: Array, on_plane: NDArray[np.bool_], panel_m: float, T_ref_port: Pose
-) -> OpenCover | None:
-    """The cover that a plane is, if it can be one: hinged beside the inlet, opened by a likely angle, large enough."""
-    points = proud[on_plane]
+def _as_cover(plane: Array, points: Array, proud: Array, panel_m: float, T_ref_port: Pose) -> OpenCover | None:
+    """The cover that a plane is, if it can be one: hinged beside the inlet, opened by a likely angle, large enough.
+
+    :param points: (N, 3) on the plane. :param proud: (M, 3) all that stands proud of the panel.
+    """
     slope = float(np.hypot(plane[0], plane[1]))
     if len(points) < _MIN_POINTS or slope < 0.08:
         return None

@@ -80,3 +80,45 @@ def test_the_pockets_wall_is_no_flap_where_a_narrow_scan_shows_no_panel() -> Non
         np.column_stack([np.full(len(wall), 0.058), wall]),
     ]
     assert find_cover(Cloud(np.vstack(sheets)), estimate(Pose.identity())) is None
+
+
+def _upright(at: float, along: tuple[float, float], up: tuple[float, float], *, across_x: bool) -> np.ndarray:
+    """A wall at x (or y) = ``at``."""
+    found = sheet(along, up)
+    columns = [np.full(len(found), at), found[:, 0], found[:, 1]]
+    return np.column_stack(columns if across_x else [columns[1], columns[0], columns[2]])
+
+
+def _flat(x: tuple[float, float], y: tuple[float, float], z: float) -> np.ndarray:
+    found = sheet(x, y)
+    return np.column_stack([found, np.full(len(found), z)])
+
+
+def test_the_walls_of_a_pocket_whose_floor_shows_more_than_the_skin_around_it_are_no_flaps() -> None:
+    skin = _flat((-0.085, 0.085), (-0.12, 0.085), 0.028)
+    skin = skin[(np.abs(skin[:, 0]) > 0.075) | (skin[:, 1] < -0.11) | (skin[:, 1] > 0.075)]
+    walls = [
+        *(_upright(x, (-0.11, 0.075), (0.008, 0.028), across_x=True) for x in (-0.075, 0.075)),
+        *(_upright(y, (-0.075, 0.075), (0.008, 0.028), across_x=False) for y in (-0.11, 0.075)),
+    ]
+    pocket = [_flat((-0.075, 0.075), (-0.11, 0.075), -0.002), *walls, skin]
+    assert find_cover(Cloud(np.vstack(pocket)), estimate(Pose.identity())) is None
+    assert find_cover(Cloud(np.vstack(pocket[:3])), estimate(Pose.identity())) is None, "two walls and no skin in sight"
+
+
+def test_above_the_skin_an_open_cover_is_found_though_the_pockets_floor_shows_more() -> None:
+    skin = _flat((-0.10, 0.10), (-0.12, 0.10), 0.028)
+    skin = skin[(np.abs(skin[:, 0]) > 0.075) | (skin[:, 1] < -0.11) | (skin[:, 1] > 0.075)]
+    flap = _upright(-0.08, (-0.06, 0.06), (0.03, 0.075), across_x=True)
+    scene = np.vstack([_flat((-0.075, 0.075), (-0.11, 0.075), -0.002), skin, flap])
+    found = find_cover(Cloud(scene), estimate(Pose.identity()))
+    assert found is not None
+    assert found.side == "left"
+
+
+def test_a_trim_beside_the_pocket_is_no_flap_also_where_its_top_is_larger_than_its_wall() -> None:
+    panel = vehicle(120.0)
+    panel = panel[panel[:, 2] < 0.025]
+    wall = _upright(0.08, (-0.05, 0.05), (0.02, 0.038), across_x=True)
+    top = _flat((0.08, 0.11), (-0.05, 0.05), 0.038)
+    assert find_cover(Cloud(np.vstack([panel, wall, top])), estimate(Pose.identity())) is None
