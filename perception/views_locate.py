@@ -1,23 +1,26 @@
-"""The port in several scans of it: each located, all registered to each other and to the model, then located as one.
+"""The port in several scans of it: each located alone; what they say is held together, or they are merged.
 
-Where the arm says from where each scan was taken, its poses begin the registration and bound it; otherwise what was
-found in each scan alone tells how the scans lie to each other, and a scan in which nothing was found has no say.
+Where the arm says from where each scan was taken and the port was found in some of them, these must agree, and their
+mean is the answer: a merged scan carries the arm's error as a blur, and was located worse than each scan alone
+(`portdock evaluate views`). Where it was found in none, or nobody says how the scans lie, they are registered to each
+other and to the model and located as one; a scan in which nothing was found then has no say without the arm.
 """
 
 from __future__ import annotations
 
 import logging
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from perception.calibration.teaching import mean_pose
 from perception.errors import InputError
 from perception.estimate import PortEstimate, Prior
 from perception.geometry import Pose
 from perception.locate import LocateSettings, locate, prior_from_cloud
 from perception.port_model import PortModel
-from perception.scan import Cloud, merge
+from perception.scan import Cloud, Frame, merge
 from perception.views_joint import register_views
 
 _log = logging.getLogger(__name__)
@@ -37,6 +40,7 @@ class ViewsEstimate:
     T_first_view: tuple[Pose, ...]
     """Of each scan as given; where it was left out: the arm's pose, or the first guess."""
     used: tuple[bool, ...]
+    """Which are in the merged cloud."""
     alone: tuple[PortEstimate, ...]
     """Of each scan by itself, in its own frame."""
 
@@ -71,14 +75,52 @@ def locate_views(
             for k, pose in zip(chosen, found, strict=True):
                 poses[k] = pose
         else:
-            _log.warning(
-                "the scans do not fit to each other where the arm says that they were taken; the arm is believed"
-            )
+            _log.warning("the scans do not fit to each other where the arm says that they were taken: it is believed")
     T_first = [poses[0].inverse() @ pose for pose in poses]
     frame = clouds[0].frame
     together = merge([clouds[k].transformed(T_first[k], frame) for k in chosen])
-    estimate = locate(together, model, prior or prior_from_cloud(clouds[0]), settings)
+    if T_first_view is not None and any(one.accepted for one in alone):
+        estimate = _mean(alone, T_first_view, frame)
+    else:
+        estimate = locate(together, model, prior or prior_from_cloud(clouds[0]), settings)
+        if not alone[0].accepted and T_first_view is None:
+            estimate = _refused(estimate, "the port was not found in the first scan: give the arm's poses")
+        elif alone[0].accepted and not estimate.accepted:
+            estimate = alone[0]
     return ViewsEstimate(estimate, together, tuple(T_first), used, alone)
+
+
+def _mean(alone: Sequence[PortEstimate], T_first_view: Sequence[Pose], frame: Frame) -> PortEstimate:
+    """The mean of what was accepted, in the first scan's frame; refused where the scans do not agree."""
+    chosen = [k for k, one in enumerate(alone) if one.accepted]
+    found = [T_first_view[k] @ alone[k].T_ref_port for k in chosen]
+    best = alone[min(chosen, key=lambda k: float(np.trace(alone[k].covariance[:3, :3])))]
+    middle, count = mean_pose(found), len(found)
+    apart_m = max(one.distance_to(other) for one in found for other in found)
+    apart_rad = max(one.angle_to(other) for one in found for other in found)
+    off = np.stack([(middle.inverse() @ one).vector for one in found])
+    scatter = np.diag((off**2).sum(axis=0)) / max(1, count * (count - 1))
+    covariance = np.mean([alone[k].covariance for k in chosen], axis=0) / count + scatter
+    words = f"agree within {1e3 * apart_m:.2f} mm and {np.rad2deg(apart_rad):.2f} deg"
+    says = f"the port was found in {count} of {len(alone)} scans" + (f", which {words}" if count > 1 else "")
+    estimate = replace(
+        best,
+        T_ref_port=middle,
+        ref=frame,
+        covariance=covariance,
+        reasons=(says, *best.reasons),
+        runner_ups=(),
+        timings_s=(("total", sum(one.elapsed_s for one in alone)),),
+    )
+    if apart_m > _ARM_M or apart_rad > _ARM_RAD:
+        apart = f"{1e3 * apart_m:.1f} mm and {np.rad2deg(apart_rad):.1f} deg"
+        return _refused(estimate, f"the scans disagree about the port by {apart}: check hand-eye and the arm's poses")
+    return estimate
+
+
+def _refused(estimate: PortEstimate, reason: str) -> PortEstimate:
+    reasons = (reason,) if estimate.accepted else (reason, *estimate.reasons)
+    return replace(estimate, accepted=False, reasons=reasons, verdict="uncertain")
 
 
 def _prior_of(k: int, cloud: Cloud, prior: Prior | None, T_first_view: Sequence[Pose] | None) -> Prior | None:

@@ -25,7 +25,7 @@ from perception.views_locate import locate_views
 
 INTEGRITIES = (0.65, 0.50)
 ARMS = {"calibrated": CALIBRATED, "uncalibrated": UNCALIBRATED}
-WAYS = ("first alone", "second alone", "arm's poses", "registration", "arm, then registration")
+WAYS = ("first alone", "second alone", "laid together by the arm", "registration", "with the arm's poses")
 _SUCCESS_M, _SUCCESS_RAD = 0.001, float(np.deg2rad(0.5))
 
 
@@ -110,9 +110,9 @@ def _each_way(views: TwoViews, model: PortModel) -> dict[str, PortEstimate]:
     return {
         "first alone": with_arm.alone[0],
         "second alone": with_arm.alone[1],
-        "arm's poses": locate(laid, model, views.prior),
+        "laid together by the arm": locate(laid, model, views.prior),
         "registration": locate_views(views.clouds, model, views.prior).estimate,
-        "arm, then registration": with_arm.estimate,
+        "with the arm's poses": with_arm.estimate,
     }
 
 

@@ -57,6 +57,35 @@ def test_a_view_that_shows_hardly_anything_of_the_port_does_no_harm(views: TwoVi
     assert found.estimate.T_ref_port.distance_to(views.T_view_port[0]) < 0.0005
 
 
+def test_what_two_scans_say_is_their_mean_and_no_worse_than_either_by_more_than_the_arms_error(views: TwoViews) -> None:
+    found = locate_views(views.clouds, port_model(PORT), views.prior, views.T_first_view)
+    told = [T @ one.T_ref_port for T, one in zip(views.T_first_view, found.alone, strict=True)]
+    middle = 0.5 * (told[0].translation + told[1].translation)
+    assert np.linalg.norm(found.estimate.T_ref_port.translation - middle) < 1e-9
+    assert found.estimate.accepted
+    assert "found in 2 of 2 scans" in found.estimate.reasons[0]
+    apart = told[0].distance_to(told[1])
+    assert np.sqrt(np.trace(found.estimate.covariance[:3, :3])) > 0.4 * apart
+
+
+def test_scans_that_disagree_by_more_than_an_arm_errs_are_refused(views: TwoViews) -> None:
+    wrong = [views.T_first_view[0], exp([0.0, 0.002, 0.0, 0.0, 0.0, 0.0]) @ views.T_first_view[1]]
+    found = locate_views(views.clouds, port_model(PORT), views.prior, wrong)
+    assert all(one.accepted for one in found.alone)
+    assert not found.estimate.accepted
+    assert "the scans disagree about the port by" in found.estimate.reasons[0]
+
+
+def test_without_the_arms_poses_a_first_scan_that_does_not_show_the_port_is_a_refusal(views: TwoViews) -> None:
+    seen = views.clouds[1]
+    away = np.linalg.norm(views.T_view_port[0].inverse().apply(views.clouds[0].points), axis=1) > 0.08
+    assert views.clouds[0].origins is not None
+    blinded = Cloud(views.clouds[0].points[away], seen.frame, views.clouds[0].origins[away])
+    found = locate_views([blinded, seen], port_model(PORT), views.prior)
+    assert not found.estimate.accepted
+    assert "give the arm's poses" in found.estimate.reasons[0]
+
+
 def test_one_scan_is_nothing_to_merge(views: TwoViews) -> None:
     with pytest.raises(InputError, match="one scan"):
         locate_views(views.clouds[:1], port_model(PORT))
