@@ -14,7 +14,7 @@ from controller.sources import Sources
 from controller.states import State
 from controller.supervisor import StopRequested
 from controller.task import Goal
-from drivers.playback import EndOfRecording, Playback
+from drivers.playback import ARM, EndOfRecording, Playback
 from tests.unit.mission_rig import StandInArm, StandInCharger, StandInScanner
 
 
@@ -89,3 +89,15 @@ def test_where_the_mission_tripped_before_it_did_anything_else_time_passes_until
     assert waiting.trip is not None
     assert waiting.trip.code is FaultCode.ABORTED
     assert 0.5 <= playback.now_s() < 0.6
+
+
+@pytest.mark.parametrize(("stop_s", "meanwhile"), [(0.4, True), (0.8, False)], ids=["before FAULT", "after"])
+def test_a_motion_is_stopped_once_more_only_where_the_recorded_one_was_before_the_fault(
+    stop_s: float, meanwhile: bool
+) -> None:
+    waiting, playback = supervisor([], (Asked(0.3, abort=True),))
+    playback.cue(STATE, [0.5])
+    playback.cue(ARM, [stop_s])
+    waiting.coming_fault = lambda: Transition(0.5, "STAGING", "abort requested", "FAULT", 0.5)
+    assert waiting.tripped_meanwhile is meanwhile
+    assert (playback.now_s() > 0.0) is meanwhile, "only then time passes, until the trip has come here too"
