@@ -33,6 +33,7 @@ import threading
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -175,4 +176,6 @@ if __name__ == "__main__":
     with contextlib.suppress(OSError):  # a device does not compete with its client for the processor
         os.setpriority(os.PRIO_PROCESS, 0, -10)
     os.environ.setdefault("OMP_NUM_THREADS", "1")  # a profile is too small to share between threads
+    for unwanted in ("open3d.ml", "open3d.visualization"):  # three seconds to import; the ray-caster needs neither
+        sys.modules[unwanted] = ModuleType(unwanted)
     sys.exit(main())
