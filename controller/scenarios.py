@@ -15,9 +15,10 @@ from perception.port_shape import PortDescription
 HAND_EYE_M, HAND_EYE_DEG = 0.0002, 0.03
 TOOL_M, TOOL_DEG = 0.0001, 0.03
 JOINT_RAD = 0.0001
-LINK_M = 0.0002
 """1 sigma of each axis of a good calibration's remaining errors: about 0.4 mm of hand-eye, 0.2 mm of tool and 0.3 mm of
 arm at the port. Most of the arm's is the same where it scans and where it docks."""
+LINK_M = 0.0002
+"""No length of the arm is farther off its drawing, in no scenario."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -60,6 +61,7 @@ again from cell to cell."""
 UNCALIBRATED_M, UNCALIBRATED_DEG = (0.010, 0.020), (5.0, 10.0)
 """How far a scanner that was mounted by eye and tape measure sits off its nominal place."""
 UNCALIBRATED_JOINT_DEG = 0.02
+"""No joint zero is farther off: with the lengths the arm is some 0.5 mm off at the port."""
 
 SCENARIOS = ("nominal", "no-port", "first-scan-poor", "blocked", "uncalibrated")
 BLOCKED_DEPTH_M = 0.008
@@ -70,8 +72,8 @@ def draw_scenario(name: str, config: SiteConfig, port: PortDescription, seed: in
 
     Before a site with a coarse stage it stands farther off: up to 60 % of what that stage is to bridge.
 
-    ``uncalibrated``: the scanner sits 10 to 20 mm and 5 to 10 deg off its nominal place, joints are 0.02 deg off,
-    the arm's lengths 0.2 mm.
+    ``uncalibrated``: the scanner sits 10 to 20 mm and 5 to 10 deg off its nominal place, joints are up to
+    0.02 deg off. The arm's lengths are up to 0.2 mm off in every scenario.
     ``cell``: which cell, where that is not the seed: its calibration errors stay while the car comes and goes.
 
     Raises ConfigError for an unknown name.
@@ -116,7 +118,7 @@ def _draw_miscalibration(rng: np.random.Generator) -> Miscalibration:
 def _with_arm(drawn: Miscalibration, rng: np.random.Generator) -> Miscalibration:
     """How much the arm gives, and its lengths as built."""
     give = COMPLIANCE_RAD_PER_NM * float(rng.uniform(0.5, 1.5))
-    d1, a2, a3, d4, d5, d6 = rng.normal(0.0, LINK_M, 6).tolist()
+    d1, a2, a3, d4, d5, d6 = rng.uniform(-LINK_M, LINK_M, 6).tolist()
     return replace(drawn, links_m=(d1, a2, a3, d4, d5, d6), compliance_rad_per_nm=give)
 
 
@@ -125,5 +127,6 @@ def _draw_uncalibrated(rng: np.random.Generator) -> Miscalibration:
     place, turn = (v / np.linalg.norm(v) for v in rng.normal(size=(2, 3)))
     scanner = Pose.from_rotvec(np.deg2rad(rng.uniform(*UNCALIBRATED_DEG)) * turn, rng.uniform(*UNCALIBRATED_M) * place)
     tool = Pose.from_rotvec(np.deg2rad(rng.normal(0.0, TOOL_DEG, 3)), rng.normal(0.0, TOOL_M, 3))
-    j1, j2, j3, j4, j5, j6 = np.deg2rad(rng.normal(0.0, UNCALIBRATED_JOINT_DEG, 6)).tolist()
+    off_deg = rng.uniform(-UNCALIBRATED_JOINT_DEG, UNCALIBRATED_JOINT_DEG, 6)
+    j1, j2, j3, j4, j5, j6 = np.deg2rad(off_deg).tolist()
     return _with_arm(Miscalibration(scanner, tool, (j1, j2, j3, j4, j5, j6)), rng)

@@ -45,7 +45,7 @@ def hand_eye(
     ] = False,
     sigma_mm: Annotated[float, typer.Option(min=0.01, max=5, help="Sweep until the position is this certain.")] = 0.2,
     sigma_deg: Annotated[float, typer.Option(min=0.005, max=2, help="And the rotation so.")] = 0.06,
-    max_sweeps: Annotated[int, typer.Option(min=8, max=36)] = 14,
+    max_sweeps: Annotated[int, typer.Option(min=8, max=36)] = 20,
     config: ConfigOption = None,
     mock: MockOption = False,
     seed: SeedOption = 0,
