@@ -19,7 +19,7 @@ from perception.errors import InputError
 from perception.estimate import PortEstimate, Prior
 from perception.geometry import Pose
 from perception.locate import LocateSettings, locate, prior_from_cloud
-from perception.port_model import PortModel
+from perception.port_model import AcceptanceLimits, PortModel
 from perception.scan import Cloud, Frame, merge
 from perception.views_joint import register_views
 
@@ -80,7 +80,7 @@ def locate_views(
     frame = clouds[0].frame
     together = merge([clouds[k].transformed(T_first[k], frame) for k in chosen])
     if T_first_view is not None and any(one.accepted for one in alone):
-        estimate = _mean(alone, T_first_view, frame)
+        estimate = _mean(alone, T_first_view, frame, model.limits)
     else:
         estimate = locate(together, model, prior or prior_from_cloud(clouds[0]), settings)
         if not alone[0].accepted and T_first_view is None:
@@ -90,7 +90,9 @@ def locate_views(
     return ViewsEstimate(estimate, together, tuple(T_first), used, alone)
 
 
-def _mean(alone: Sequence[PortEstimate], T_first_view: Sequence[Pose], frame: Frame) -> PortEstimate:
+def _mean(
+    alone: Sequence[PortEstimate], T_first_view: Sequence[Pose], frame: Frame, limits: AcceptanceLimits
+) -> PortEstimate:
     """The mean of what was accepted, in the first scan's frame; refused where the scans do not agree."""
     chosen = [k for k, one in enumerate(alone) if one.accepted]
     found = [T_first_view[k] @ alone[k].T_ref_port for k in chosen]
@@ -112,7 +114,9 @@ def _mean(alone: Sequence[PortEstimate], T_first_view: Sequence[Pose], frame: Fr
         runner_ups=(),
         timings_s=(("total", sum(one.elapsed_s for one in alone)),),
     )
-    if apart_m > _ARM_M or apart_rad > _ARM_RAD:
+    sigma_m, sigma_rad = (float(np.sqrt(np.trace(covariance[rows, rows]))) for rows in (slice(3), slice(3, 6)))
+    uncertain = sigma_m > limits.max_translation_sigma_m or sigma_rad > limits.max_rotation_sigma_rad
+    if uncertain or apart_m > _ARM_M or apart_rad > _ARM_RAD:
         apart = f"{1e3 * apart_m:.1f} mm and {np.rad2deg(apart_rad):.1f} deg"
         return _refused(estimate, f"the scans disagree about the port by {apart}: check hand-eye and the arm's poses")
     return estimate
