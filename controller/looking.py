@@ -121,7 +121,10 @@ class Looking:
 
     def _ask(self, clouds: list[Cloud]) -> PortEstimate:
         """Perception works in its own process; the tick goes on meanwhile."""
-        future = self._cell.locator.submit(clouds, self._prior())
+        try:
+            future = self._cell.locator.submit(clouds, self._prior())
+        except PortdockError as error:
+            raise MissionFault(FaultCode.PERCEPTION_FAILED, error.cause) from error
         self._cell.supervisor.wait(future.done)
         try:
             return future.result()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import multiprocessing
+import threading
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
@@ -42,11 +43,20 @@ class PreparedModel:
 
 
 class PerceptionWorker:
-    """One worker process that keeps one port model ready."""
+    """One worker process that keeps one port model ready. One that was killed is followed by another.
+
+    Whoever asks when it happens, or is the first to ask afterwards, is told; who asks next has the new one.
+    """
 
     def __init__(self, model: str) -> None:
-        self._pool = ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn"))
-        self._prepared = self._pool.submit(_prepare, model)
+        self._model = model
+        self._closed = False
+        self._changing = threading.Lock()
+        self._pool, self._prepared = self._started()
+
+    def _started(self) -> tuple[ProcessPoolExecutor, Future[PreparedModel]]:
+        pool = ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn"))
+        return pool, pool.submit(_prepare, self._model)
 
     def prepared(self) -> PreparedModel:
         """Waits until the worker has its model. Raises what the preparation raised, or PerceptionError."""
@@ -57,14 +67,36 @@ class PerceptionWorker:
 
     def submit(self, clouds: Sequence[Cloud], prior: Prior) -> Future[PortEstimate]:
         """Locate the port in one scan or in several of it, all in the frame of the prior."""
-        return self._pool.submit(_locate, tuple(clouds), prior)
+        return self._submit(_locate, tuple(clouds), prior)
 
     def submit_rough(self, cloud: Cloud, prior: Prior) -> Future[RoughPlace]:
         """Find the port roughly in a coarse scan, in the frame of the prior."""
-        return self._pool.submit(_find_roughly, cloud, prior)
+        return self._submit(_find_roughly, cloud, prior)
+
+    def _submit(self, work: Callable[..., Value], *arguments: object) -> Future[Value]:
+        """Raises PerceptionError if the process is gone."""
+        pool = self._pool
+        try:
+            future = pool.submit(work, *arguments)
+        except BrokenProcessPool as error:
+            self._replace(pool)
+            raise PerceptionError("the perception process had ended; another one is being started") from error
+        future.add_done_callback(lambda done: self._replace_if_broken(pool, done))
+        return future
+
+    def _replace_if_broken(self, pool: ProcessPoolExecutor, done: Future[Value]) -> None:
+        if not done.cancelled() and isinstance(done.exception(), BrokenProcessPool):
+            self._replace(pool)
+
+    def _replace(self, broken: ProcessPoolExecutor) -> None:
+        """From any thread; the first to see it starts the new process."""
+        with self._changing:
+            if self._pool is broken and not self._closed:
+                self._pool, self._prepared = self._started()
 
     def close(self) -> None:
         """End the process. Idempotent."""
+        self._closed = True
         self._pool.shutdown(wait=True, cancel_futures=True)
 
 
