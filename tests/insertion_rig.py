@@ -131,6 +131,7 @@ class EmulatedTime:
         self._arm = arm
         self.facts = Facts(state=State.INSERTING)
         self.trip = None
+        self.tripped_meanwhile = False
         self.lets_back_off = False
 
     def now_s(self) -> float:
