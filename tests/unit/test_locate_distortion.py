@@ -23,10 +23,14 @@ SHAPES = {name: load_port(name).shape for name in ("ccs2", "type2")}
 TAN3 = float(np.tan(np.deg2rad(3.0)))
 
 
-@pytest.fixture(scope="module", params=list(SHAPES))
-def scanned(request: pytest.FixtureRequest) -> tuple[CaseScan, PortModel]:
-    case = next(case for case in positive_cases(8, [request.param], ("nominal",)))
+def scan_of(port: str) -> tuple[CaseScan, PortModel]:
+    case = next(case for case in positive_cases(8, [port], ("nominal",)))
     return make_scan(case, 3, SHAPES), PortModel.from_mesh(case.port, *build_mesh(SHAPES[case.port]))
+
+
+@pytest.fixture(scope="module")
+def scanned() -> tuple[CaseScan, PortModel]:
+    return scan_of("type2")
 
 
 def located(scan: CaseScan, model: PortModel, change: np.ndarray) -> PortEstimate:
@@ -45,6 +49,12 @@ def change(row: str, column: str, amount: float) -> np.ndarray:
 
 def test_a_scan_in_proportion_is_accepted(scanned: tuple[CaseScan, PortModel]) -> None:
     assert located(*scanned, np.zeros((3, 3))).accepted
+
+
+def test_so_it_is_with_a_port_that_is_not_round() -> None:
+    scanned = scan_of("ccs2")
+    assert located(*scanned, np.zeros((3, 3))).accepted
+    assert not located(*scanned, change("x", "y", TAN3)).accepted
 
 
 @pytest.mark.parametrize(
