@@ -105,8 +105,8 @@ class Looking:
         self._rough, self._spoiled = None, 0
 
     def locate(self) -> PortEstimate | None:
-        """All scans merged; if that is refused, the newest alone. None when the last scan could not be used, or was
-        the coarse one."""
+        """What all scans say together; if that is refused, the newest alone. None when the last scan could not be used,
+        or was the coarse one."""
         if self._rough is not None:
             if not self.problem:
                 self._aim(self._rough)

@@ -96,7 +96,8 @@ class PerceptionWorker:
 
     def close(self) -> None:
         """End the process. Idempotent."""
-        self._closed = True
+        with self._changing:
+            self._closed = True
         self._pool.shutdown(wait=True, cancel_futures=True)
 
 
@@ -143,7 +144,7 @@ def _find_roughly(cloud: Cloud, prior: Prior) -> RoughPlace:
 
 
 def _locate(clouds: tuple[Cloud, ...], prior: Prior) -> PortEstimate:
-    """Several scans lie in one frame as the arm says: registration begins there, and ends where the newest lies."""
+    """Several scans lie in one frame, as the arm says where each was taken; the newest counts as the first."""
     if len(clouds) == 1:
         return locate(clouds[0], _Kept.model, prior)
     newest_first = clouds[::-1]

@@ -78,8 +78,7 @@ def draw_scenario(name: str, config: SiteConfig, port: PortDescription, seed: in
 
     Raises ConfigError for an unknown name.
     """
-    if name not in SCENARIOS:
-        raise ConfigError(f"no scenario is called '{name}'", remedy=f"Use one of {', '.join(SCENARIOS)}.")
+    check_name(name)
     rng = np.random.default_rng([seed, 1])
     offset_m = rng.uniform(-1.0, 1.0, 3) * _parking_m(config)
     turn_rad = np.deg2rad(rng.uniform(-1.0, 1.0, 3) * [4.0, 4.0, 3.0])
@@ -96,6 +95,12 @@ def draw_scenario(name: str, config: SiteConfig, port: PortDescription, seed: in
             return replace(nominal, blocked_depth_m=min(BLOCKED_DEPTH_M, port.mated_depth_m / 2.0))
         case _:
             return nominal
+
+
+def check_name(scenario: str) -> None:
+    """Raises ConfigError for an unknown one."""
+    if scenario not in SCENARIOS:
+        raise ConfigError(f"no scenario is called '{scenario}'", remedy=f"Use one of {', '.join(SCENARIOS)}.")
 
 
 def _parking_m(config: SiteConfig) -> Array:

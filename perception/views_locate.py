@@ -68,14 +68,15 @@ def locate_views(
     else:
         used, T_port_views = _by_arm(alone, T_first_view)
     chosen = [k for k, use in enumerate(used) if use]
-    poses = list(T_port_views)
+    poses, fit = list(T_port_views), True
     if len(chosen) > 1:
         found = register_views([clouds[k].points for k in chosen], [poses[k] for k in chosen], model)
         if T_first_view is None or _agree(found, [T_first_view[k] for k in chosen]):
             for k, pose in zip(chosen, found, strict=True):
                 poses[k] = pose
         else:
-            _log.warning("the scans do not fit to each other where the arm says that they were taken: it is believed")
+            fit = False
+            _log.warning("the scans do not fit to each other where the arm says that they were taken")
     T_first = [poses[0].inverse() @ pose for pose in poses]
     frame = clouds[0].frame
     together = merge([clouds[k].transformed(T_first[k], frame) for k in chosen])
@@ -83,7 +84,9 @@ def locate_views(
         estimate = _mean(alone, T_first_view, frame, model.limits)
     else:
         estimate = locate(together, model, prior or prior_from_cloud(clouds[0]), settings)
-        if not alone[0].accepted and T_first_view is None:
+        if not fit:  # merged where the arm has them they are a blur, which may pass for a port beside the true place
+            estimate = _refused(estimate, "the scans do not fit to each other where the arm says that they were taken")
+        elif not alone[0].accepted and T_first_view is None:
             estimate = _refused(estimate, "the port was not found in the first scan: give the arm's poses")
         elif alone[0].accepted and not estimate.accepted:
             estimate = alone[0]

@@ -17,6 +17,7 @@ from controller.calibrations.record import DeviceNames
 from controller.calibrations.store import CalibrationStore
 from controller.cli.scan import ConfigOption
 from controller.config import SiteConfig, load_config
+from controller.scenarios import check_name
 from perception.calibration.drift import AXES, ChartSettings, Dock, Drift, chart, warnings
 from perception.errors import InputError
 
@@ -36,6 +37,7 @@ def drift(
 
     Exit code 1 with a warning, 0 once a correction has been accepted.
     """
+    check_name(scenario)
     site = load_config(config)
     mocks = None if mock_cell is None else mock_names(mock_cell, scenario)
     folder = Path(site.calibration.folder)

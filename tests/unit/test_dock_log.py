@@ -10,6 +10,7 @@ from typer.testing import CliRunner
 
 from controller.calibrations.dock_log import NAME, append_dock, drift_warnings, judged, read_docks, rest_offset
 from controller.cli.main import app
+from controller.config_section import ConfigError
 from perception.calibration.drift import Dock
 from perception.geometry import Pose
 
@@ -64,3 +65,9 @@ def test_docks_with_other_calibrations_are_not_judged_together(tmp_path: Path) -
     write(tmp_path, 30)
     write(tmp_path, 6, shift_m=5e-4, basis="b")
     assert drift_warnings(tmp_path, "b") == ()
+
+
+def test_a_scenario_that_does_not_exist_is_refused_by_name() -> None:
+    result = CliRunner().invoke(app, ["calibrate", "drift", "--mock-cell", "0", "--scenario", "nominall"])
+    assert isinstance(result.exception, ConfigError)
+    assert "no scenario is called 'nominall'" in str(result.exception)

@@ -1,6 +1,7 @@
 """Several scans of one port: registered to each other and to the model; the arm believed where they disagree."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +11,9 @@ from typer.testing import CliRunner
 from controller.cli.main import app
 from controller.port_files import load_port
 from controller.port_models import port_model
+from perception import views_locate
 from perception.errors import InputError, PortdockError
+from perception.estimate import PortEstimate
 from perception.evaluation.locate_views import TwoViews, two_views
 from perception.geometry import Pose, exp
 from perception.scan import Cloud
@@ -87,6 +90,26 @@ def test_without_the_arms_poses_a_first_scan_that_does_not_show_the_port_is_a_re
     found = locate_views([blinded, seen], port_model(PORT), views.prior)
     assert not found.estimate.accepted
     assert "give the arm's poses" in found.estimate.reasons[0]
+
+
+def test_scans_that_fit_nowhere_near_where_the_arm_says_are_refused_though_their_blur_would_pass(
+    views: TwoViews, found: ViewsEstimate, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    accepted, merged = found.estimate, sum(len(cloud) for cloud in views.clouds)
+
+    def only_the_blur(cloud: Cloud, *_: object) -> PortEstimate:
+        return replace(accepted, accepted=len(cloud) == merged)
+
+    def elsewhere(clouds: object, poses: list[Pose], model: object) -> tuple[Pose, ...]:
+        return poses[0], exp([0.004, 0.0, 0.0, 0.0, 0.0, 0.0]) @ poses[1]
+
+    monkeypatch.setattr(views_locate, "locate", only_the_blur)
+    together = locate_views(views.clouds, port_model(PORT), views.prior, views.T_first_view)
+    assert together.estimate.accepted
+    monkeypatch.setattr(views_locate, "register_views", elsewhere)
+    apart = locate_views(views.clouds, port_model(PORT), views.prior, views.T_first_view)
+    assert not apart.estimate.accepted
+    assert "do not fit to each other" in apart.estimate.reasons[0]
 
 
 def test_one_scan_is_nothing_to_merge(views: TwoViews) -> None:
