@@ -27,7 +27,8 @@ log = logging.getLogger(__name__)
 FAST_FACTOR = 2.0
 """Emulated seconds per wall second with --fast."""
 
-Pace = Annotated[float, typer.Option(min=1.0, max=6.0, help="Emulated seconds per wall second of wires and arm.")]
+Pace = Annotated[float, typer.Option(min=1.0, max=3.0, help="Emulated seconds per wall second of wires and arm.")]
+"""Faster, a state's deadline (emulated time) runs out before a silent charger counts as lost (wall time)."""
 
 
 def dry_run(
