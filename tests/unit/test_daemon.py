@@ -111,6 +111,7 @@ def test_a_charger_that_falls_silent_in_ready_latches_and_comes_back_only_by_a_r
     assert daemon.status()["fault"] == "charger-link-lost"
     assert daemon.job(Request.RESET).fault == "charger-link-lost", "not while it is silent"
     (daemon.folder / SILENT).unlink()
+    _until(lambda: daemon.status()["links"]["charger"]["up"])
     refused = daemon.job(Request.DOCK)
     assert (refused.outcome, refused.fault) == ("fault", "charger-link-lost"), "it is heard again: nothing goes on"
     assert daemon.job(Request.RESET).outcome == "ready"
