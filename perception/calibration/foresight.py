@@ -78,7 +78,7 @@ def covariance_after(sweeps: Sequence[Foreseen], expected: Expected) -> Array:
     known[:6] = [KNOWN_M] * 3 + [KNOWN_RAD] * 3
     normal = normal + np.diag(expected.noise_m**2 / known**2)
     pulls = np.stack([one.coupling for one in sweeps]) / expected.thinning
-    return sandwich(normal, pulls, expected.noise_m**2, expected.shift_m**2)[:6, :6]
+    return sandwich(normal, expected.noise_m**2 * normal, pulls, expected.shift_m**2)[:6, :6]
 
 
 def spread(covariance: Array) -> tuple[float, float]:

@@ -25,20 +25,30 @@ def uncertainty(jacobian: Array, distances: Distances, weights: Array, seen: Sig
     noise = float(np.sum(weights * distances.residual**2) / max(1.0, np.sum(weights) - jacobian.shape[1]))
     squares, couplings = _sweeps(jacobian, distances, weights, seen, noise)
     normal = (jacobian * weights[:, None]).T @ jacobian
-    return sandwich(normal, couplings, noise, _shift_variance(squares, jacobian.shape[1]))
+    pull = _point_pull(jacobian, weights * distances.residual)
+    return sandwich(normal, pull, couplings, _shift_variance(squares, jacobian.shape[1]))
 
 
-def sandwich(normal: Array, couplings: Array, noise: float, shift: float) -> Array:
-    """Covariance (K, K) for points with variance ``noise`` and sweeps that are shifted with variance ``shift`` an axis.
+def sandwich(normal: Array, pull: Array, couplings: Array, shift: float) -> Array:
+    """Covariance (K, K) for noisy points in sweeps that are each shifted with variance ``shift`` an axis.
 
     :param normal: (K, K) sum of outer products of the Jacobian's rows
+    :param pull: (K, K) covariance of what the noise of the points pulls at the solution
     :param couplings: (S, K, 3) how a shift of each sweep pulls at the solution
     """
     scale = np.sqrt(np.diag(normal)) + 1e-300
     bread = np.linalg.inv(normal / np.outer(scale, scale) + 1e-14 * np.eye(len(normal)))
     pulls = couplings / scale[:, None]
-    meat = noise * normal / np.outer(scale, scale) + shift * np.einsum("ski,sli->kl", pulls, pulls)
+    meat = pull / np.outer(scale, scale) + shift * np.einsum("ski,sli->kl", pulls, pulls)
     return np.asarray(bread @ meat @ bread / np.outer(scale, scale))
+
+
+def _point_pull(jacobian: Array, weighted_residual: Array) -> Array:
+    """(K, K) from each point's own residual (MacKinnon and White 1985, HC1): a laser's range noise is a smaller
+    distance where it grazes a surface, and these points hold the target sideways."""
+    points, parameters = jacobian.shape
+    pulls = jacobian * weighted_residual[:, None]
+    return np.asarray(pulls.T @ pulls * points / max(1, points - parameters))
 
 
 def sweep_shifts(distances: Distances, seen: Sightings) -> Array:

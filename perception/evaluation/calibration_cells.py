@@ -23,8 +23,9 @@ GUESS_M, GUESS_RAD = 0.020, float(np.deg2rad(10.0))
 PROFILES, RAYS = 60, 120
 SWEEP_M, SPEED_M_S = 0.12, 0.03
 HALF_FAN = 0.17
-START = np.array([0.35, -1.75, 1.85, -0.1, 1.35, 0.0])
-"""Joints from which poses are sought."""
+START = np.array([2.97, -1.2, 2.1, 2.2, -1.3, 0.0])
+"""Joints from which poses are sought: elbow up before the port, so that scanning and docking are on one branch, as a
+real arm is, which gets from one to the other in a straight line."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
