@@ -13,32 +13,30 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from controller.assembly import assemble
-from controller.calibrations.port_sweeps import placed, solved
+from controller.calibrations.port_sweeps import expected_skin, placed, solved
+from controller.calibrations.pose_choice import Aim, PoseChoice
 from controller.calibrations.thinker import Thinker
 from controller.calibrations.timed_sweep import timed_sweep
-from controller.calibrations.views import View, candidates, reachable, sweep_of
+from controller.calibrations.views import View
 from controller.cell import Cell
 from controller.config import SiteConfig
-from controller.planning import Viewpoint
 from controller.sweep import SweepError
 from controller.sweeping import ProgressReport
 from controller.unrecorded import Unrecorded
 from perception.calibration.errors import CalibrationError
-from perception.calibration.foresight import Expected, Foreseen, Sweep, best_next, covariance_after, foreseen, spread
+from perception.calibration.foresight import Expected, Foreseen, covariance_after, spread
 from perception.calibration.from_sweeps import Solved, TargetKind, checked, sphere_place
 from perception.calibration.hand_eye import Asked
 from perception.calibration.sightings import Mounting
-from perception.calibration.targets import PortTarget, SphereTarget
+from perception.calibration.targets import PortTarget
 from perception.geometry import Array, Pose
 from perception.scan import Scan
 
 log = logging.getLogger(__name__)
 
-CANDIDATES = 36
 MIN_SWEEPS = 8
 SEARCH_ASIDE_MM = (0.0, 60.0, -60.0)
 """Where the first sweep looks for the target: a guess that is 10 deg off misses it by 50 mm."""
-MIN_POINTS_FORESEEN = 150
 SPOILED = 3
 STATUS_S = 5.0
 
@@ -95,7 +93,7 @@ class Planned:
 
 
 def plan_hand_eye(config: SiteConfig, wanted: Wanted, *, pace: float = 1.0, heartbeat_mode: int = 3) -> list[Planned]:
-    """The poses that a calibration with a sphere would sweep from, were the guess right. Nothing moves.
+    """The poses that a calibration would sweep from, were target and guess where they are expected. Nothing moves.
 
     :raises CalibrationError: too few poses can be reached; and as ``calibrate_hand_eye``
     """
@@ -118,13 +116,14 @@ class _Calibrating:
         self._mounting = Mounting(config.scanner.T_flange_scanner.pose)
         self._T_base_target = config.port.T_base_port.pose
         self._scans: list[Scan] = []
-        self._left = list(candidates(CANDIDATES))
+        self._choice = PoseChoice(config, wanted.asked, cell.reach)
         self._solved: Solved | None = None
+        self._aim = self._aimed()
 
     def run(self) -> Calibrated:
         self._find_target()
         while not self._enough():
-            self._sweep(self._next_view())
+            self._sweep(self._choice.take(self._aim, self._made))
             self._solve()
         found = self._solved
         assert found is not None, "it is enough only with a solution"
@@ -134,11 +133,10 @@ class _Calibrating:
 
     def plan(self) -> list[Planned]:
         """Poses one by one until the prediction is good enough, or no more may be added."""
-        made, planned = [self._foreseen(View())], [Planned(View(), np.inf, np.inf)]
+        made, planned = [self._choice.foreseen(View(), self._aim)], [Planned(View(), np.inf, np.inf)]
         while len(planned) < self._wanted.max_sweeps:
-            view = self._best_of(self._possible(), made)
-            self._left.remove(view)
-            made.append(self._foreseen(view))
+            view = self._choice.take(self._aim, made)
+            made.append(self._choice.foreseen(view, self._aim))
             sigma_m, sigma_rad = spread(covariance_after(made, Expected()))
             planned.append(Planned(view, sigma_m, sigma_rad))
             if len(planned) >= MIN_SWEEPS and sigma_m < self._wanted.sigma_m and sigma_rad < self._wanted.sigma_rad:
@@ -156,7 +154,7 @@ class _Calibrating:
         for aside_mm in SEARCH_ASIDE_MM:
             self._sweep(View(aside_mm=aside_mm))
             try:
-                self._aim(self._place())
+                self._look_at(self._place())
             except CalibrationError as error:
                 self._scans.pop()
                 problem = problem or error
@@ -176,7 +174,8 @@ class _Calibrating:
     def _sweep(self, view: View) -> None:
         for _ in range(SPOILED):
             try:
-                scan = timed_sweep(self._cell, self._config, self._viewpoint(view), self._report)
+                viewpoint = self._choice.viewpoint(view, self._aim)
+                scan = timed_sweep(self._cell, self._config, viewpoint, self._report)
                 break
             except SweepError as error:
                 log.warning("this sweep cannot be used, it is made again: %s", error.cause)
@@ -188,62 +187,20 @@ class _Calibrating:
             f" deg, {self._config.scan.standoff_mm - view.nearer_mm:.0f} mm off"
         )
 
-    def _viewpoint(self, view: View) -> Viewpoint:
-        T_scanner_tcp = self._mounting.T_flange_scanner.inverse() @ self._config.arm.T_flange_tcp.pose
-        return sweep_of(view, self._T_base_target, self._config.scan, T_scanner_tcp)
-
-    def _aim(self, place: Array) -> None:
+    def _look_at(self, place: Array) -> None:
         self._T_base_target = Pose(self._T_base_target.rotation, place)
+        self._aim = self._aimed()
 
-    # --- which pose next
-
-    def _next_view(self) -> View:
-        """Of the candidates that can be reached, the one after which the mounting is least uncertain."""
-        possible = self._possible()
-        if self._wanted.kind.name == "sphere":
-            view = self._best_of(possible, [one for one in self._made if one.points])
-        else:
-            view = possible[0]
-        self._left.remove(view)
-        return view
-
-    def _possible(self) -> list[View]:
-        """Candidates that the arm can go to and sweep along. Raises CalibrationError without any."""
-        target, reach = self._T_base_target, self._cell.reach
-        possible = [view for view in self._left if reachable(self._viewpoint(view), target, reach) is None]
-        if not possible:
-            raise CalibrationError(
-                f"after {len(self._scans)} sweeps no further pose about the target can be reached",
-                remedy="Place the target nearer to the middle of the arm's reach, or free the space around it.",
-            )
-        return possible
-
-    def _best_of(self, possible: list[View], made: list[Foreseen]) -> View:
-        told = [self._foreseen(view) for view in possible]
-        seeing = [k for k, one in enumerate(told) if one.points > MIN_POINTS_FORESEEN] or list(range(len(told)))
-        lever_m = self._config.scan.standoff_mm / 1000.0
-        return possible[seeing[best_next(made, [told[k] for k in seeing], Expected(), lever_m)]]
+    def _aimed(self) -> Aim:
+        found = None if self._solved is None else self._solved.hand_eye.target
+        skin = self._thinker.ask(self._cell, expected_skin, self._wanted.kind, self._port, found)
+        return Aim(self._mounting, self._T_base_target, skin)
 
     @property
     def _made(self) -> list[Foreseen]:
-        """What the sweeps that are made say, by their two ends."""
-        told = []
-        for scan in self._scans:
-            times_s = scan.profiles[-1].time_s - scan.profiles[0].time_s
-            ends = scan.T_base_flange[0], scan.T_base_flange[-1]
-            told.append(foreseen(Sweep(*ends, times_s), self._target, self._mounting, self._wanted.asked))
-        return told
-
-    def _foreseen(self, view: View) -> Foreseen:
-        viewpoint, scan = self._viewpoint(view), self._config.scan
-        T_tcp_flange = self._config.arm.T_flange_tcp.pose.inverse()
-        ends = viewpoint.T_base_tcp_start @ T_tcp_flange, viewpoint.T_base_tcp_end @ T_tcp_flange
-        duration_s = scan.length_mm / scan.speed_mm_s
-        return foreseen(Sweep(*ends, duration_s), self._target, self._mounting, self._wanted.asked)
-
-    @property
-    def _target(self) -> SphereTarget:
-        return SphereTarget(self._T_base_target.translation, self._wanted.kind.radius_m)
+        """What the sweeps so far say; a sweep that missed the target says nothing."""
+        told = [self._choice.told(scan, self._aim) for scan in self._scans]
+        return [one for one in told if one.points] or told
 
     # --- solution
 
@@ -261,22 +218,19 @@ class _Calibrating:
             log.info("not yet: %s", error.cause)
             return
         self._solved, self._mounting = found, found.hand_eye.mounting
-        if found.place is not None:
-            self._aim(found.place)
+        self._look_at(self._T_base_target.translation if found.place is None else found.place)
         sigma_m, sigma_rad = spread(found.hand_eye.covariance[:6, :6])
-        self._note(f"  1 sigma {1e3 * sigma_m:.3f} mm, {np.rad2deg(sigma_rad):.4f} deg; {self._foretold()}")
+        foretold_m, foretold_rad = spread(covariance_after(self._made, Expected()))
+        self._note(
+            f"  1 sigma {1e3 * sigma_m:.3f} mm, {np.rad2deg(sigma_rad):.4f} deg;"
+            f" predicted {1e3 * foretold_m:.3f} mm, {np.rad2deg(foretold_rad):.4f} deg"
+        )
 
     @property
     def _port(self) -> Pose:
         """Where a port is expected: by the last solution; before one, where the target is, turned as the site says."""
         target = None if self._solved is None else self._solved.hand_eye.target
         return target.T_base_port if isinstance(target, PortTarget) else self._T_base_target
-
-    def _foretold(self) -> str:
-        if self._wanted.kind.name != "sphere":
-            return f"rms {1e3 * self._solved.hand_eye.rms_m:.3f} mm" if self._solved is not None else ""
-        sigma_m, sigma_rad = spread(covariance_after(self._made, Expected()))
-        return f"predicted {1e3 * sigma_m:.3f} mm, {np.rad2deg(sigma_rad):.4f} deg"
 
     def _enough(self) -> bool:
         """Enough sweeps, and certain enough; or all that were allowed."""
@@ -285,9 +239,7 @@ class _Calibrating:
             return True
         if count < MIN_SWEEPS or self._solved is None:
             return False
-        sigma_m, sigma_rad = spread(self._solved.hand_eye.covariance[:6, :6])
-        certain = sigma_m < w.sigma_m and sigma_rad < w.sigma_rad
-        if certain and w.kind.name == "sphere":  # errors of the arm may happen to agree in few sweeps
-            sigma_m, sigma_rad = spread(covariance_after(self._made, Expected()))
-            certain = sigma_m < w.sigma_m and sigma_rad < w.sigma_rad
-        return certain
+        found = [self._solved.hand_eye.covariance[:6, :6]]
+        if w.kind.name != "port":  # errors of the arm may happen to agree in few sweeps; a built port's never do
+            found.append(covariance_after(self._made, Expected()))
+        return all(sigma_m < w.sigma_m and sigma_rad < w.sigma_rad for sigma_m, sigma_rad in map(spread, found))

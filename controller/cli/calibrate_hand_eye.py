@@ -22,7 +22,6 @@ from controller.config import SiteConfig, load_config
 from controller.port_files import load_port
 from controller.scenarios import draw_scenario
 from perception.calibration.errors import CalibrationError
-from perception.errors import InputError
 
 if TYPE_CHECKING:
     from controller.calibrations.hand_eye_session import Calibrated, Planned, Wanted
@@ -58,8 +57,6 @@ def hand_eye(
     from perception.calibration.from_sweeps import TargetKind
     from perception.calibration.hand_eye import Asked
 
-    if plan and target is not TargetName.SPHERE:
-        raise InputError("--plan goes with --target sphere", remedy="Leave --plan out.")
     site = load_config(config)
     kind = TargetKind(target.value, diameter_mm / 2000.0, site.port.model)
     sigma_rad = float(np.deg2rad(sigma_deg))

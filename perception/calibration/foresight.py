@@ -1,6 +1,6 @@
 """What a sweep that has not been made yet would add: the poses of a calibration are chosen by it.
 
-A candidate's sweep of a sphere is foreseen without noise; sweeps are then taken up one by one, each time the one after
+A candidate's sweep of a target is foreseen without noise; sweeps are then taken up one by one, each time the one after
 which the mounting is least uncertain (greedy design of experiments).
 """
 
@@ -10,10 +10,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from perception.calibration.hand_eye import Asked, mounting_jacobian
 from perception.calibration.sightings import Mounting, Sightings
-from perception.calibration.targets import SphereTarget
+from perception.calibration.skins import Skin
+from perception.calibration.targets import Distances
 from perception.calibration.uncertainty import coupling, sandwich
 from perception.geometry import Array, Pose
 
@@ -21,6 +23,8 @@ PROFILES = 90
 RAYS = 90
 HALF_FAN = 0.28
 """Tangent of half the laser fan's angle."""
+MOST = 600
+"""Points of one sweep, thinned: the solver takes no more of it."""
 STEEPEST = 0.42
 """Cosine of the steepest incidence at which the solver takes ranges."""
 
@@ -47,10 +51,12 @@ class Foreseen:
 
     normal: Array
     """(K, K)."""
+    pull: Array
+    """(K, K) what ranges with unit noise pull at the solution: less where the ray grazes the target."""
     coupling: Array
     """(K, 3)."""
     points: int
-    """So many of its rays meet the target: few mean that the sweep would miss it."""
+    """So many rays meet the target: few mean that the sweep would miss it."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -62,13 +68,14 @@ class Sweep:
     duration_s: float
 
 
-def foreseen(sweep: Sweep, target: SphereTarget, mounting: Mounting, asked: Asked) -> Foreseen:
-    """What a sweep of a sphere would add."""
-    seen = _sightings(sweep, target, mounting)
-    distances = target.distances(seen.in_base(mounting))
+def foreseen(sweep: Sweep, skin: Skin, mounting: Mounting, asked: Asked) -> Foreseen:
+    """What a sweep of a target would add, as many points counted as ``PROFILES`` of ``RAYS`` meet, at most ``MOST``."""
+    seen, met, steep, rays = _sightings(sweep, skin, mounting)
+    rays = rays * min(1.0, MOST / max(1.0, rays.sum()))
+    distances = Distances(np.zeros(len(seen)), skin.normals[met], skin.own[met])
     jacobian = np.column_stack([mounting_jacobian(seen, mounting, distances)[:, asked.columns], distances.own])
-    pull = coupling(jacobian, np.ones(len(seen)), distances.gradient)
-    return Foreseen(jacobian.T @ jacobian, pull, len(seen))
+    normal, pull = ((jacobian * (rays * weight)[:, None]).T @ jacobian for weight in (1.0, steep**2))
+    return Foreseen(normal, pull, coupling(jacobian, rays, distances.gradient), int(rays.sum()))
 
 
 def covariance_after(sweeps: Sequence[Foreseen], expected: Expected) -> Array:
@@ -76,9 +83,10 @@ def covariance_after(sweeps: Sequence[Foreseen], expected: Expected) -> Array:
     normal = sum((one.normal for one in sweeps), np.zeros_like(sweeps[0].normal)) / expected.thinning
     known = np.full(len(normal), 1.0)  # scales beside the pose: a second, a metre
     known[:6] = [KNOWN_M] * 3 + [KNOWN_RAD] * 3
-    normal = normal + np.diag(expected.noise_m**2 / known**2)
-    pulls = np.stack([one.coupling for one in sweeps]) / expected.thinning
-    return sandwich(normal, expected.noise_m**2 * normal, pulls, expected.shift_m**2)[:6, :6]
+    pull = sum((one.pull for one in sweeps), np.zeros_like(normal)) / expected.thinning
+    prior = np.diag(expected.noise_m**2 / known**2)
+    couplings = np.stack([one.coupling for one in sweeps]) / expected.thinning
+    return sandwich(normal + prior, expected.noise_m**2 * (pull + prior), couplings, expected.shift_m**2)[:6, :6]
 
 
 def spread(covariance: Array) -> tuple[float, float]:
@@ -96,31 +104,31 @@ def best_next(made: Sequence[Foreseen], candidates: Sequence[Foreseen], expected
     return int(np.argmin([cost(one) for one in candidates]))
 
 
-def _sightings(sweep: Sweep, target: SphereTarget, mounting: Mounting) -> Sightings:
-    """The points that an ideal scanner sees of the sphere."""
-    share = np.linspace(0.0, 1.0, PROFILES)[:, None]
+def _sightings(sweep: Sweep, skin: Skin, mounting: Mounting) -> tuple[Sightings, NDArray[np.bool_], Array, Array]:
+    """One sighting for each of the M samples of the skin that are met, which those are (N,), the cosine of incidence at
+    each (M,), and how many rays meet each (M,)."""
     start, end = sweep.T_base_flange_start, sweep.T_base_flange_end
+    T_base_scanner = start @ mounting.T_flange_scanner
     way = end.translation - start.translation
-    translations = start.translation + share * way
-    rotations = np.broadcast_to(start.rotation, (PROFILES, 3, 3))
-    x = np.linspace(-HALF_FAN, HALF_FAN, RAYS)
-    fan = np.column_stack([x, np.zeros(RAYS), np.ones(RAYS)]) / np.sqrt(1.0 + x**2)[:, None]
-    T_fs = mounting.T_flange_scanner
-    rays = fan @ (start.rotation @ T_fs.rotation).T
-    to_centre = target.centre - (translations + start.rotate(T_fs.translation))  # (P, 3)
-    along = to_centre @ rays.T
-    root = along**2 - np.sum(to_centre**2, axis=1)[:, None] + target.radius_m**2
-    steep = np.sqrt(np.maximum(root, 0.0)) / target.radius_m
-    profile, ray = np.nonzero((root > 0) & (steep > STEEPEST))
-    ranges = along[profile, ray] - np.sqrt(root[profile, ray])
-    velocity = np.broadcast_to(way / sweep.duration_s, (PROFILES, 3))
-    return Sightings(
-        xz=ranges[:, None] * fan[ray][:, [0, 2]],
-        profile=profile,
-        sweep=np.zeros(PROFILES, dtype=np.int64),
-        rotations=rotations,
+    forward = T_base_scanner.rotation.T @ way  # in the scanner's frame, which does not turn
+    at_start = T_base_scanner.inverse().apply(skin.points)
+    share = at_start[:, 1] / (forward[1] if abs(forward[1]) > 1e-9 else np.inf)
+    in_plane = at_start - share[:, None] * forward
+    x, z = in_plane[:, 0], np.maximum(in_plane[:, 2], 1e-6)
+    ranges = np.hypot(x, z)
+    steep = -np.einsum("ni,ni->n", skin.normals @ T_base_scanner.rotation, in_plane) / ranges
+    met = (share > 0.0) & (share < 1.0) & (in_plane[:, 2] > 0.0) & (np.abs(x) < HALF_FAN * z) & (steep > STEEPEST)
+    cell_m2 = (abs(forward[1]) / PROFILES) * (2.0 * HALF_FAN / RAYS * ranges[met])  # that one ray covers, square on
+    count = int(met.sum())
+    translations = start.translation + share[met, None] * way
+    seen = Sightings(
+        xz=in_plane[met][:, [0, 2]],
+        profile=np.arange(count),
+        sweep=np.zeros(count, dtype=np.int64),
+        rotations=np.broadcast_to(start.rotation, (count, 3, 3)),
         translations=translations,
-        velocities=velocity,
-        spins=np.zeros((PROFILES, 3)),
-        starts=np.broadcast_to(translations[0], (PROFILES, 3)),
+        velocities=np.broadcast_to(way / sweep.duration_s, (count, 3)),
+        spins=np.zeros((count, 3)),
+        starts=np.broadcast_to(start.translation, (count, 3)),
     )
+    return seen, met, steep[met], skin.area_m2[met] * steep[met] / np.maximum(cell_m2, 1e-12)
