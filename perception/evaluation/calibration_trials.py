@@ -37,6 +37,10 @@ MATED_M, MATED_RAD = 0.00005, float(np.deg2rad(0.02))
 """1 sigma of how a plug sits in its port, from dock to dock."""
 
 
+CAPTURE_M, CAPTURE_RAD = 0.001, float(np.deg2rad(1.0))
+"""What a CCS2 inlet takes up (config/ports/ccs2.yaml)."""
+
+
 @dataclass(frozen=True, slots=True)
 class HandEyeTrial:
     """One calibration of one cell with a perfect arm."""
@@ -48,13 +52,22 @@ class HandEyeTrial:
 
 
 @dataclass(frozen=True, slots=True)
+class Placed:
+    """Where the true plug is when the arm has brought it to where it would mate."""
+
+    off_mm: float
+    """Distance from its mated place."""
+    captured: bool
+    """Within what the port takes up of a plug that comes sideways and tilted: it docks at the first try."""
+
+
+@dataclass(frozen=True, slots=True)
 class PlacingTrial:
     """One car at one cell whose arm errs: after hand-eye calibration, and after teaching on top."""
 
     located_mm: float
-    untaught_mm: float
-    taught_mm: float
-    """Distance of the plug from where it is mated."""
+    untaught: Placed
+    taught: Placed
 
 
 def hand_eye_trial(seed: int) -> HandEyeTrial:
@@ -81,8 +94,8 @@ def placing_trials(seed: int) -> list[PlacingTrial]:
         moved = Pose.from_rotvec(rng.uniform(-CAR_RAD, CAR_RAD, 3), rng.uniform(-CAR_M, CAR_M, 3))
         T_base_port = Pose(home.rotation @ moved.rotation, home.translation + moved.translation)
         seen = located(cell, T_base_port, T_flange_scanner, np.zeros(3), rng)
-        placed = [plug_error_m(cell, T_base_port, seen @ T_port_tcp) for T_port_tcp in (T_PORT_TCP, taught)]
-        trials.append(PlacingTrial(1e3 * seen.distance_to(T_base_port), *(1e3 * one for one in placed)))
+        placed = [plug_placed(cell, T_base_port, seen @ T_port_tcp) for T_port_tcp in (T_PORT_TCP, taught)]
+        trials.append(PlacingTrial(1e3 * seen.distance_to(T_base_port), *placed))
     return trials
 
 
@@ -129,10 +142,12 @@ T_FLANGE_TCP = Pose(np.eye(3), np.array([0.0, 0.0, 0.2]))
 """What the controller believes."""
 
 
-def plug_error_m(cell: TrueCell, T_base_port: Pose, T_base_tcp: Pose) -> float:
-    """How far the true plug is from its mated place when the arm is told to bring its TCP to ``T_base_tcp``."""
-    plug = cell.true_flange(T_base_tcp @ T_FLANGE_TCP.inverse()) @ cell.T_flange_tcp
-    return plug.distance_to(T_base_port @ T_PORT_TCP)
+def plug_placed(cell: TrueCell, T_base_port: Pose, T_base_tcp: Pose) -> Placed:
+    """Where the true plug is when the arm is told to bring its TCP to ``T_base_tcp``."""
+    plug = T_base_port.inverse() @ cell.true_flange(T_base_tcp @ T_FLANGE_TCP.inverse()) @ cell.T_flange_tcp
+    sideways_m = float(np.linalg.norm((plug.translation - T_PORT_TCP.translation)[:2]))
+    captured = sideways_m <= CAPTURE_M and plug.angle_to(T_PORT_TCP) <= CAPTURE_RAD
+    return Placed(1e3 * plug.distance_to(T_PORT_TCP), captured)
 
 
 # --- drift ------------------------------------------------------------------------------------------------------------

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from controller.port_files import load_port
 from drivers.arm.kinematics import MODELS, forward
 from perception.calibration.from_sweeps import TargetKind, solve_sweeps
 from perception.calibration.hand_eye import Asked
@@ -12,16 +13,27 @@ from perception.calibration.sightings import Mounting
 from perception.evaluation.calibration_cells import START, Chain, TrueCell, draw_cell
 from perception.evaluation.calibration_report import rows, table
 from perception.evaluation.calibration_trials import (
+    CAPTURE_M,
+    CAPTURE_RAD,
+    CAR_M,
+    CAR_RAD,
     T_FLANGE_TCP,
     T_PORT_TCP,
     DriftTrial,
     HandEyeTrial,
+    Placed,
     PlacingTrial,
     drift_trial,
+    plug_placed,
     told_when_mated,
 )
 from perception.geometry import Pose
 from tests.unit.calibration_rig import CORNER, T_FLANGE_SCANNER, Rig
+
+
+def home() -> Pose:
+    """A port that looks at the robot."""
+    return Pose(np.array([[0.0, 0.0, -1.0], [-1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]), np.array([0.9, 0.1, 0.45]))
 
 
 def test_the_nominal_chain_is_the_arm_that_the_driver_knows() -> None:
@@ -33,7 +45,7 @@ def test_the_nominal_chain_is_the_arm_that_the_driver_knows() -> None:
 def test_a_mated_plug_is_told_where_the_erring_arm_believes_it_is() -> None:
     rng = np.random.default_rng(1)
     cell = draw_cell(rng, joint_rad=3e-4, link_m=2e-4)
-    T_base_port = Pose(np.array([[0.0, 0.0, -1.0], [-1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]), np.array([0.9, 0.1, 0.45]))
+    T_base_port = home()
     told = told_when_mated(cell, T_base_port, rng)
     true = cell.true_flange(told @ T_FLANGE_TCP.inverse()) @ cell.T_flange_tcp
     assert true.distance_to(T_base_port @ T_PORT_TCP) < 0.0003  # how a plug sits
@@ -53,12 +65,48 @@ def test_the_drift_trial_sees_a_bump() -> None:
 
 def test_the_table_says_no_where_a_bar_is_missed() -> None:
     good, bad = HandEyeTrial(0.05, 0.01, True), HandEyeTrial(0.5, 0.2, False)
-    placed = PlacingTrial(0.2, 0.8, 0.2)
+    placed = PlacingTrial(0.2, Placed(0.8, True), Placed(0.2, True))
     text = table(rows(20, [good] * 19 + [good], [placed] * 5, [DriftTrial(False, 3)] * 5), 20)
     assert "| hand-eye position, perfect arm, 95% quantile of 20 | 0.050 mm |" in text
     missed = rows(20, [bad] * 20, [placed] * 5, [DriftTrial(True, None)] * 5)
     assert [row.met for row in missed[1:4]] == [False, False, False]
     assert not missed[-1].met
+
+
+def test_a_plug_beyond_capture_is_no_first_try_and_two_of_a_hundred_are_too_many() -> None:
+    good, astray = Placed(0.2, True), Placed(1.2, False)
+    tries = [PlacingTrial(0.2, astray, good)] * 98 + [PlacingTrial(0.2, astray, astray)] * 2
+    found = {row.what: row for row in rows(20, [HandEyeTrial(0.05, 0.01, True)], tries, [DriftTrial(False, 3)])}
+    taught, untaught = (found[f"first tries within capture {when}"] for when in ("after teaching", "without teaching"))
+    assert (taught.value, taught.met, untaught.value, untaught.bar) == ("98/100", False, "0/100", "reported")
+
+
+@pytest.mark.parametrize(
+    ("off_mm", "turn_deg", "captured"),
+    [((0.9, 0, 0), 0.0, True), ((0.8, 0.7, 0), 0.0, False), ((0, 0, 5), 0.9, True), ((0, 0, 0), 1.1, False)],
+)
+def test_capture_is_judged_sideways_and_by_angle_as_the_port_file_says(
+    off_mm: tuple[float, ...], turn_deg: float, captured: bool
+) -> None:
+    port = load_port("ccs2")
+    assert (port.capture_radius_m, port.capture_tilt_rad) == pytest.approx((CAPTURE_M, CAPTURE_RAD))
+    cell = TrueCell(Chain.nominal(), Pose.identity(), T_FLANGE_TCP)
+    T_base_port = home()
+    off = Pose.from_rotvec(np.deg2rad([turn_deg, 0.0, 0.0]), np.array(off_mm) / 1e3)
+    found = plug_placed(cell, T_base_port, T_base_port @ T_PORT_TCP @ off)
+    assert found.captured is captured
+    assert found.off_mm == pytest.approx(np.linalg.norm(off_mm), abs=1e-3)
+
+
+def test_scanning_and_docking_are_on_one_branch_of_the_arm_at_every_car() -> None:
+    """A joint that jumps between the two would meet other errors of the arm at the dock than at the scan."""
+    rng = np.random.default_rng(4)
+    for _ in range(12):
+        T_base_port = home().moved(rng.uniform(-CAR_M, CAR_M, 3)) @ Pose.from_rotvec(rng.uniform(-CAR_RAD, CAR_RAD, 3))
+        at_scan = T_base_port @ Pose(T_PORT_TCP.rotation, np.array([0.0, 0.0, 0.29])) @ T_FLANGE_SCANNER.inverse()
+        at_dock = T_base_port @ T_PORT_TCP @ T_FLANGE_TCP.inverse()
+        scan, dock = (Chain.nominal().joints_for(pose, START) for pose in (at_scan, at_dock))
+        assert np.abs(scan - dock).max() < 0.8
 
 
 def test_opencvs_closed_form_finds_the_mounting_that_our_solver_finds() -> None:
