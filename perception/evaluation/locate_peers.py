@@ -54,7 +54,10 @@ class Peer:
     @property
     def present(self) -> bool:
         """Whether its library is installed."""
-        return importlib.util.find_spec(self.library) is not None
+        try:
+            return importlib.util.find_spec(self.library) is not None
+        except ModuleNotFoundError:  # the parent of a submodule
+            return False
 
     def load(self) -> Finder:
         """The tool, ready. Raises PeerMissingError."""
@@ -217,6 +220,6 @@ PEERS: dict[str, Peer] = {
         Peer("icp", "point-to-plane ICP from the prior", "open3d", lambda: _from_prior),
         Peer("multistart", "many-start small_gicp + ICP", "small_gicp", _multistart),
         Peer("kiss", "KISS-Matcher + small_gicp + ICP", "kiss_matcher", _kiss),
-        Peer("ppf", "OpenCV point-pair features + ICP", "cv2", _ppf),
+        Peer("ppf", "OpenCV point-pair features + ICP", "cv2.ppf_match_3d", _ppf),
     )
 }
