@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import logging
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -14,6 +15,8 @@ from controller.calibrations.store import CalibrationStore
 from controller.config import SiteConfig
 from controller.config_section import PoseConfig
 from perception.calibration.errors import CalibrationError
+
+log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True)
@@ -164,3 +167,12 @@ def calibrated_as_far_as_fits(config: SiteConfig, devices: DeviceNames) -> tuple
     found = examine_calibrations(config, devices)
     fit = [one.calibration for one in found if one.calibration is not None and one.problem is None]
     return with_calibrations(config, fit), found
+
+
+def on_mock_cell(site: SiteConfig, devices: DeviceNames) -> SiteConfig:
+    """The site with the calibrations that belong to this mock cell; those of others and old ones are left aside."""
+    site, found = calibrated_as_far_as_fits(site, devices)
+    for one in found:
+        if one.problem is not None:
+            log.warning("not used: %s", one.problem.cause)
+    return site.model_copy(update={"scanner": site.scanner.model_copy(update={"serial": devices.scanner})})

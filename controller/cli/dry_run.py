@@ -13,8 +13,7 @@ from typing import Annotated
 
 import typer
 
-from controller.calibrations.in_force import calibrated_as_far_as_fits, mock_names
-from controller.calibrations.record import DeviceNames
+from controller.calibrations.in_force import mock_names, on_mock_cell
 from controller.cli.progress import make_display
 from controller.config import SiteConfig, load_config
 from controller.config_section import ConfigError
@@ -81,15 +80,6 @@ def dry_run(
             keep_mock_logs(Path(wires), folder)
         display.finish(summary)
     finish(summary, as_json)
-
-
-def on_mock_cell(site: SiteConfig, devices: DeviceNames) -> SiteConfig:
-    """The site with the calibrations that belong to this mock cell; those of others and old ones are left aside."""
-    site, found = calibrated_as_far_as_fits(site, devices)
-    for one in found:
-        if one.problem is not None:
-            log.warning("not used: %s", one.problem.cause)
-    return site.model_copy(update={"scanner": site.scanner.model_copy(update={"serial": devices.scanner})})
 
 
 def profile_rate(rate_hz: float | None) -> tuple[str, ...]:

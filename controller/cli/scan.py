@@ -10,9 +10,9 @@ from typing import Annotated
 
 import typer
 
-from controller.calibrations.in_force import calibrated, mock_names
+from controller.calibrations.in_force import calibrated, mock_names, on_mock_cell
 from controller.calibrations.record import Kind
-from controller.cli.dry_run import FAST_FACTOR, for_mocks, on_mock_cell
+from controller.cli.dry_run import FAST_FACTOR, for_mocks
 from controller.config import SiteConfig, load_config
 from controller.port_files import load_port
 from controller.scenarios import SCENARIOS, draw_scenario

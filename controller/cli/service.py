@@ -49,8 +49,8 @@ def run(
 
 def _run_on_mocks(site: SiteConfig, path: Path | None, fast: bool, scenario: str, seed: int) -> None:
     """The very daemon, with three mock processes at the far ends of its wires; its memory ends with their world."""
-    from controller.calibrations.in_force import mock_names
-    from controller.cli.dry_run import FAST_FACTOR, for_mocks, on_mock_cell
+    from controller.calibrations.in_force import mock_names, on_mock_cell
+    from controller.cli.dry_run import FAST_FACTOR, for_mocks
     from controller.daemon.life import Setting, run_daemon  # see above
     from controller.mock_cell import MockCell
     from controller.port_files import load_port

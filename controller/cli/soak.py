@@ -12,6 +12,7 @@ import typer
 from controller.cli.dry_run import FAST_FACTOR, Pace, for_mocks
 from controller.config import load_config
 from controller.config_section import ConfigError
+from controller.scenarios import check_name
 
 if TYPE_CHECKING:
     from controller.soak.run import Line, Soak
@@ -27,6 +28,10 @@ def soak(
     seed: Annotated[int, typer.Option(min=0, help="Cars, faults, noise.")] = 0,
     world: Annotated[int, typer.Option(min=1, help="Missions for each car and set of mocks.")] = 10,
     pace: Pace = FAST_FACTOR,
+    scenario: Annotated[str, typer.Option(help="nominal, or uncalibrated with the calibrations of --mock-cell.")] = (
+        "nominal"
+    ),
+    mock_cell: Annotated[int | None, typer.Option(min=0, help="One cell's calibration errors in all worlds.")] = None,
     out: Annotated[Path, typer.Option(help="Folder for soak.jsonl and the recordings.")] = Path("portdock-soak"),
     config: Annotated[Path | None, typer.Option(help="A site file; addresses are replaced by the mocks'.")] = None,
 ) -> None:
@@ -38,7 +43,8 @@ def soak(
 
     clock = MonotonicClock()
     end_s = float("inf") if hours is None else clock.now_s() + 3600.0 * hours
-    plan = Plan(missions or FOREVER, end_s, seed, faults, world, pace)
+    check_name(scenario)
+    plan = Plan(missions or FOREVER, end_s, seed, faults, world, pace, scenario, mock_cell)
     out.mkdir(parents=True, exist_ok=True)
     done = run_soak(for_mocks(load_config(config), fast=pace > 1.0), plan, out.resolve(), clock, _tell)
     raise typer.Exit(0 if _judged(done) else 1)

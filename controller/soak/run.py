@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from controller.assembly import assemble
+from controller.calibrations.in_force import mock_names, on_mock_cell
 from controller.config import SiteConfig
 from controller.daemon.records import Recordings
 from controller.faults import Outcome
@@ -40,6 +41,9 @@ class Plan:
     fault_share: float
     missions_a_world: int
     pace: float
+    scenario: str = "nominal"
+    mock_cell: int | None = None
+    """Whose calibration errors there are, and whose calibrations are used; None: each world has errors of its own."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,14 +124,16 @@ class _World:
     def run(self) -> None:
         """All missions of this world. Raises LinkOpenError when its mocks do not come up."""
         plan, seed = self._plan, self._plan.seed + self._number
-        world = draw_scenario("nominal", self._site, load_port(self._site.port.model), seed)
+        world = draw_scenario(plan.scenario, self._site, load_port(self._site.port.model), seed, plan.mock_cell)
+        names = mock_names(seed if plan.mock_cell is None else plan.mock_cell, plan.scenario)
         with tempfile.TemporaryDirectory(prefix="portdock-soak-") as wires, ExitStack() as closing:
             cell = closing.enter_context(MockCell(Path(wires), self._site, world, seed, plan.pace))
-            records = Recordings(cell.config, lambda event: None, lambda *_: None, reports=False)
-            live = assemble(cell.config, records, closing, pace=plan.pace, heartbeat_mode=1)
+            config = on_mock_cell(cell.config, names)
+            records = Recordings(config, lambda event: None, lambda *_: None, reports=False)
+            live = assemble(config, records, closing, pace=plan.pace, heartbeat_mode=1)
             closing.callback(records.close)
             records.attach(live.cell, live.model)
-            mission = Mission(live.cell, cell.config, live.T_port_tcp_mated, records, Path(wires))
+            mission = Mission(live.cell, config, live.T_port_tcp_mated, records, Path(wires))
 
             def make_trouble(source: str, event: str, target: str) -> None:
                 if target == self._state and self._trouble is not NOTHING and mission.now.outcome is None:

@@ -7,6 +7,7 @@ the prior allows and that explains most of the CAD is taken: that helps each of 
 
 from __future__ import annotations
 
+import importlib
 import importlib.util
 import itertools
 from collections.abc import Callable, Iterator
@@ -191,8 +192,8 @@ def _starts() -> Iterator[Pose]:
 
 
 def _ppf() -> Finder:
-    from cv2 import ppf_match_3d as ppf
-
+    cv2: Any = importlib.import_module("cv2")
+    ppf = cv2.ppf_match_3d
     trained: dict[str, Any] = {}
 
     def find(problem: PeerProblem) -> Pose:

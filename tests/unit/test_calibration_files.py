@@ -16,11 +16,11 @@ from controller.calibrations.in_force import (
     device_names,
     examine_calibrations,
     mock_names,
+    on_mock_cell,
     with_calibrations,
 )
 from controller.calibrations.record import Calibration, CalibrationFileError, basis, from_yaml, to_yaml
 from controller.calibrations.store import CalibrationStore
-from controller.cli.dry_run import on_mock_cell
 from controller.cli.main import app
 from controller.config import SiteConfig, load_config
 from controller.doctor.examination import calibrations
