@@ -20,9 +20,9 @@ def evaluate_calibration(
     from perception.evaluation.calibration_report import rows, run_trials, table  # takes a second to import
 
     out.mkdir(parents=True, exist_ok=True)
-    hand_eye, placing, drift = run_trials(
+    trials = run_trials(
         runs, jobs or os.cpu_count() or 1, lambda done, total: show_quarters("trials", done / total, "")
     )
-    text = table(rows(runs, hand_eye, placing, drift), runs)
+    text = table(rows(runs, trials), runs)
     (out / "calibration.md").write_text(text, encoding="utf-8")
     typer.echo(text)

@@ -1,12 +1,12 @@
 """Cells whose true geometry is hidden: an arm with joint and link errors, a scanner and a plug that sit elsewhere.
 
 For ``evaluate calibration``. Rays meet a sphere by formula, arms are Denavit-Hartenberg chains: fast
-enough for hundreds of calibrations. Not modelled: outliers, drop-outs, gravity sag, backlash, delays.
+enough for hundreds of calibrations. Not modelled: outliers, drop-outs, backlash, links that bend.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.optimize import least_squares
@@ -23,6 +23,11 @@ GUESS_M, GUESS_RAD = 0.020, float(np.deg2rad(10.0))
 PROFILES, RAYS = 60, 120
 SWEEP_M, SPEED_M_S = 0.12, 0.03
 HALF_FAN = 0.17
+COMPLIANCE_RAD_PER_NM, TIME_OFFSET_S = 3e-6, 0.005
+"""Of joints under weight, half as much or half as much again; and the greatest offset of the scanner's clock."""
+G_M_S2 = 9.81
+MASSES_KG = np.array([7.4, 13.1, 4.0, 2.1, 2.0, 0.6, 3.0])
+"""Of a UR10e's links; plug and scanner."""
 START = np.array([2.97, -1.2, 2.1, 2.2, -1.3, 0.0])
 """Joints from which poses are sought: elbow up before the port, so that scanning and docking are on one branch, as a
 real arm is, which gets from one to the other in a straight line."""
@@ -51,13 +56,27 @@ class Chain:
 
     def flange(self, joints: Array) -> Pose:
         """T_base_flange at joints (6,)."""
-        matrix = np.eye(4)
+        return Pose.from_matrix(self._frames(joints)[-1])
+
+    def torques(self, joints: Array) -> Array:
+        """(6,) Nm that gravity puts on the joints (6,): links as masses in their middles, the load at the end."""
+        frames = np.stack([np.eye(4), *self._frames(joints)])
+        origins, axes = frames[:, :3, 3], frames[:6, :3, 2]
+        masses = np.vstack([0.5 * (origins[:-1] + origins[1:]), origins[-1:]])
+        arms = masses[None] - origins[:6, None]
+        moments = np.einsum("ji,jki->jk", axes, np.cross(arms, [0.0, 0.0, -G_M_S2])) * MASSES_KG
+        return np.asarray(np.triu(moments).sum(axis=1))  # a joint carries what comes after it
+
+    def _frames(self, joints: Array) -> list[Array]:
+        """Each link's frame in the base, six of (4, 4)."""
+        matrix, frames = np.eye(4), []
         for (a, alpha, d, offset), angle in zip(self.rows, joints, strict=True):
             c, s, ca, sa = np.cos(angle + offset), np.sin(angle + offset), np.cos(alpha), np.sin(alpha)
             matrix = matrix @ np.array(
                 [[c, -s * ca, s * sa, a * c], [s, c * ca, -c * sa, a * s], [0.0, sa, ca, d], [0.0, 0.0, 0.0, 1.0]]
             )
-        return Pose.from_matrix(matrix)
+            frames.append(matrix)
+        return frames
 
     def joints_for(self, T_base_flange: Pose, near: Array) -> Array:
         """Joints (6,) that bring the flange there, from a start on the right branch. Raises ValueError out of reach."""
@@ -79,10 +98,15 @@ class TrueCell:
     T_flange_scanner: Pose
     T_flange_tcp: Pose
     noise_m: float = 1e-4
+    compliance_rad_per_nm: float = 0.0
+    """How far each joint gives under weight."""
+    time_offset_s: float = 0.0
+    """A profile is measured so much later than its time stamp says."""
 
     def true_flange(self, T_base_flange: Pose, near: Array = START) -> Pose:
         """Where the flange truly is when the arm says ``T_base_flange``."""
-        return self.arm.flange(Chain.nominal().joints_for(T_base_flange, near))
+        joints = Chain.nominal().joints_for(T_base_flange, near)
+        return self.arm.flange(joints + self.compliance_rad_per_nm * self.arm.torques(joints))
 
     def sphere_sweeps(self, centre: Array, count: int, rng: np.random.Generator) -> list[Scan]:
         """Sweeps over a sphere from ``count`` poses about it, with the arm's word for its poses."""
@@ -104,7 +128,8 @@ class TrueCell:
         vectors = np.linspace(error[0].vector, error[1].vector, PROFILES)  # the arm's error changes little over a sweep
         profiles = []
         for k, pose in enumerate(believed):
-            true = pose @ Pose.from_vector(vectors[k]) @ self.T_flange_scanner
+            late = self.T_flange_scanner.moved([0.0, sign * SPEED_M_S * self.time_offset_s, 0.0])
+            true = pose @ Pose.from_vector(vectors[k]) @ late
             time_s = k * SWEEP_M / SPEED_M_S / (PROFILES - 1)
             profiles.append(Profile(k, time_s, time_s, self._profile(true, centre, rng)))
         return Scan(tuple(profiles), tuple(believed), self.T_flange_scanner)
@@ -129,6 +154,12 @@ def draw_cell(rng: np.random.Generator, joint_rad: float = 0.0, link_m: float = 
     scanner = Pose.from_rotvec(rng.uniform(-0.1, 0.1, 3), np.array([0.0, -0.09, 0.04]) + rng.uniform(-0.02, 0.02, 3))
     tool = Pose.from_rotvec(rng.normal(0, np.deg2rad(0.1), 3), np.array([0, 0, 0.2]) + rng.normal(0, 0.0002, 3))
     return TrueCell(Chain.nominal().erring(joint_rad, link_m, rng), scanner, tool)
+
+
+def with_all_errors(cell: TrueCell, rng: np.random.Generator) -> TrueCell:
+    """The cell with an arm that hangs under its weight and a scanner whose clock is off, too."""
+    give, late_s = COMPLIANCE_RAD_PER_NM * rng.uniform(0.5, 1.5), rng.uniform(-TIME_OFFSET_S, TIME_OFFSET_S)
+    return replace(cell, compliance_rad_per_nm=give, time_offset_s=late_s)
 
 
 def draw_guess(true: Pose, rng: np.random.Generator) -> Pose:

@@ -38,22 +38,33 @@ class Row:
     met: bool
 
 
-def run_trials(
-    runs: int, jobs: int, report: Progress
-) -> tuple[list[HandEyeTrial], list[PlacingTrial], list[DriftTrial]]:
-    """``runs`` hand-eye calibrations, three tenths as many cells with erring arms, four times as many drift charts."""
-    hand_eye: list[HandEyeTrial] = []
-    placing: list[PlacingTrial] = []
+@dataclass(frozen=True, slots=True)
+class Trials:
+    """What all seeds came to."""
+
+    hand_eye: Sequence[HandEyeTrial]
+    arm: Sequence[PlacingTrial]
+    """With an arm whose zeros and lengths are off."""
+    everything: Sequence[PlacingTrial]
+    """With all errors."""
+    drift: Sequence[DriftTrial]
+
+
+def run_trials(runs: int, jobs: int, report: Progress) -> Trials:
+    """``runs`` hand-eye calibrations, twice three tenths as many erring cells, four times as many drift charts."""
     seeds, cells = range(runs), range(max(2, 3 * runs // 10))
     with ProcessPoolExecutor(jobs, multiprocessing.get_context("spawn"), initializer=_one_thread) as pool:
         solved = [pool.submit(_hand_eye_or_none, seed) for seed in seeds]
-        placed = [pool.submit(_placing_or_none, seed) for seed in cells]
-        everything: list[Future[Any]] = [*solved, *placed]
-        for done, _ in enumerate(as_completed(everything), 1):
-            report(done, len(everything))
-        hand_eye += [trial for future in solved if (trial := future.result()) is not None]
-        placing += [trial for future in placed for trial in future.result() or ()]
-    return hand_eye, placing, [drift_trial(seed) for seed in range(4 * runs)]
+        arm, everything = ([pool.submit(_placing, seed, all_errors) for seed in cells] for all_errors in (False, True))
+        waiting: list[Future[Any]] = [*solved, *arm, *everything]
+        for done, _ in enumerate(as_completed(waiting), 1):
+            report(done, len(waiting))
+        return Trials(
+            [trial for future in solved if (trial := future.result()) is not None],
+            [trial for future in arm for trial in future.result()],
+            [trial for future in everything for trial in future.result()],
+            [drift_trial(seed) for seed in range(4 * runs)],
+        )
 
 
 def _one_thread() -> None:
@@ -67,36 +78,48 @@ def _hand_eye_or_none(seed: int) -> HandEyeTrial | None:
         return None
 
 
-def _placing_or_none(seed: int) -> list[PlacingTrial] | None:
+def _placing(seed: int, everything: bool) -> list[PlacingTrial]:
+    """Empty for a cell that cannot be calibrated."""
     try:
-        return placing_trials(seed)
+        return placing_trials(seed, everything)
     except CalibrationError:
-        return None
+        return []
 
 
-def rows(
-    runs: int, hand_eye: Sequence[HandEyeTrial], placing: Sequence[PlacingTrial], drift: Sequence[DriftTrial]
-) -> list[Row]:
+def rows(runs: int, trials: Trials) -> list[Row]:
     """The figures of issue and docs: quantiles with 95 % intervals by order statistics, shares with exact ones."""
+    hand_eye, drift = trials.hand_eye, trials.drift
     inside = sum(trial.inside_95 for trial in hand_eye)
     quick = sum(trial.docks_to_warning is not None and trial.docks_to_warning <= 5 for trial in drift)
     silent = sum(not trial.false_alarm for trial in drift)
-    found = [
+    return [
         _share("hand-eye calibrations that were solved", len(hand_eye), runs, 1.0, 1.0),
         _quantile("hand-eye position, perfect arm", [t.error_mm for t in hand_eye], 0.95, 0.1, "mm"),
         _quantile("hand-eye rotation, perfect arm", [t.error_deg for t in hand_eye], 0.95, 0.05, "deg"),
         _share("truth inside the stated 95 % ellipsoid", inside, len(hand_eye), 0.90, 0.98),
-    ]
-    if placing:
-        found += [
-            _quantile("port located in the base, arm with errors", [t.located_mm for t in placing], 0.5, 0.5, "mm"),
-            *_placed("without teaching", [t.untaught for t in placing], None, None, None),
-            *_placed("after teaching", [t.taught for t in placing], 0.33, 0.6, 0.99),
-        ]
-    return [
-        *found,
+        *_placing_rows("arm with errors", trials.arm, located_mm=0.5, median_mm=0.33, most_mm=0.6, share=None),
+        *_placing_rows("all errors", trials.everything, located_mm=None, median_mm=None, most_mm=None, share=0.99),
         _share("bumps of 0.5 mm, 0.3 deg warned of within 5 docks", quick, len(drift), 0.95, 1.0),
         _share("charts without false alarm in 500 docks", silent, len(drift), 0.95, 1.0),
+    ]
+
+
+def _placing_rows(
+    cell: str,
+    placing: Sequence[PlacingTrial],
+    *,
+    located_mm: float | None,
+    median_mm: float | None,
+    most_mm: float | None,
+    share: float | None,
+) -> list[Row]:
+    """Located, then placed without and after teaching; bars are for the median, and after teaching. None: reported."""
+    if not placing:
+        return []
+    return [
+        _quantile(f"port located in the base, {cell}", [t.located_mm for t in placing], 0.5, located_mm, "mm"),
+        *_placed(f"without teaching, {cell}", [t.untaught for t in placing], None, None, None),
+        *_placed(f"after teaching, {cell}", [t.taught for t in placing], median_mm, most_mm, share),
     ]
 
 
@@ -109,7 +132,7 @@ def _placed(
     return [
         _quantile(f"plug placed {when}", [p.off_mm for p in placed], 0.5, median_mm, "mm"),
         _quantile(f"plug placed {when}", [p.off_mm for p in placed], 0.95, most_mm, "mm"),
-        captured if share is not None else replace(captured, bar="reported"),
+        captured if share is not None else replace(captured, bar="reported", met=True),
     ]
 
 
@@ -136,7 +159,8 @@ def table(found: Sequence[Row], runs: int) -> str:
     """Markdown."""
     lines = [
         f"`portdock evaluate calibration --runs {runs}`: seeds from 0; {CARS} car positions (+-100 mm, +-10 deg each"
-        " axis) for each cell with an erring arm. Pure simulation: no wires, no outliers.",
+        " axis) for each cell with an erring arm; all errors: its sag and the scanner's clock too. What counts as within"
+        " capture is in the port file of ccs2. Pure simulation: no wires, no outliers.",
         "",
         "| what | measured | 95 % interval | bar | met |",
         "|---|---|---|---|---|",

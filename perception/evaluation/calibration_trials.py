@@ -16,9 +16,11 @@ from perception.evaluation.calibration_cells import (
     JOINT_RAD,
     LINK_M,
     RADIUS_M,
+    SPEED_M_S,
     TrueCell,
     draw_cell,
     draw_guess,
+    with_all_errors,
 )
 from perception.geometry import Array, Pose, exp
 
@@ -80,20 +82,25 @@ def hand_eye_trial(seed: int) -> HandEyeTrial:
     return HandEyeTrial(1e3 * float(np.linalg.norm(off[:3])), float(np.rad2deg(np.linalg.norm(off[3:]))), inside)
 
 
-def placing_trials(seed: int) -> list[PlacingTrial]:
-    """A cell whose arm errs: calibrated, taught at one place, docked at cars that stand elsewhere."""
+def placing_trials(seed: int, everything: bool = False) -> list[PlacingTrial]:
+    """A cell whose arm errs: calibrated, taught at one place, docked at cars that stand elsewhere.
+
+    :param everything: with gravity's sag and a scanner's clock that is off, beside errors of zeros and lengths
+    """
     rng = np.random.default_rng([seed, 2])
     cell = draw_cell(rng, JOINT_RAD, LINK_M)
-    T_flange_scanner = calibrated(cell, rng).mounting.T_flange_scanner
+    if everything:
+        cell = with_all_errors(cell, rng)
+    mounting = calibrated(cell, rng).mounting
     home = Pose(_PORT_AXES, CENTRE)
     views = [np.zeros(3), np.deg2rad([12.0, 0.0, 0.0]), np.zeros(3)]
-    scans = [located(cell, home, T_flange_scanner, view, rng) for view in views]
+    scans = [located(cell, home, mounting, view, rng) for view in views]
     taught = teach(scans, told_when_mated(cell, home, rng)).T_port_tcp
     trials = []
     for _ in range(CARS):
         moved = Pose.from_rotvec(rng.uniform(-CAR_RAD, CAR_RAD, 3), rng.uniform(-CAR_M, CAR_M, 3))
         T_base_port = Pose(home.rotation @ moved.rotation, home.translation + moved.translation)
-        seen = located(cell, T_base_port, T_flange_scanner, np.zeros(3), rng)
+        seen = located(cell, T_base_port, mounting, np.zeros(3), rng)
         placed = [plug_placed(cell, T_base_port, seen @ T_port_tcp) for T_port_tcp in (T_PORT_TCP, taught)]
         trials.append(PlacingTrial(1e3 * seen.distance_to(T_base_port), *placed))
     return trials
@@ -116,10 +123,10 @@ def pose_error(true: Pose, found: Pose) -> Array:
     return np.concatenate([found.translation - true.translation, turn])
 
 
-def located(
-    cell: TrueCell, T_base_port: Pose, T_flange_scanner: Pose, view_rad: Array, rng: np.random.Generator
-) -> Pose:
+def located(cell: TrueCell, T_base_port: Pose, mounting: Mounting, view_rad: Array, rng: np.random.Generator) -> Pose:
     """T_base_port as arm, calibration and locator say: the scanner looks squarely at it, but for the view's tilt."""
+    late_s = cell.time_offset_s - mounting.time_offset_s
+    T_flange_scanner = mounting.T_flange_scanner.moved([0.0, -SPEED_M_S * late_s, 0.0])
     T_port_scanner = Pose.from_rotvec(view_rad) @ Pose(T_PORT_TCP.rotation, np.array([0.0, 0.0, 0.29]))
     told = T_base_port @ T_port_scanner @ T_flange_scanner.inverse()
     true = cell.true_flange(told)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -10,8 +12,8 @@ from drivers.arm.kinematics import MODELS, forward
 from perception.calibration.from_sweeps import TargetKind, solve_sweeps
 from perception.calibration.hand_eye import Asked
 from perception.calibration.sightings import Mounting
-from perception.evaluation.calibration_cells import START, Chain, TrueCell, draw_cell
-from perception.evaluation.calibration_report import rows, table
+from perception.evaluation.calibration_cells import FACING_X, START, Chain, TrueCell, draw_cell
+from perception.evaluation.calibration_report import Trials, rows, table
 from perception.evaluation.calibration_trials import (
     CAPTURE_M,
     CAPTURE_RAD,
@@ -23,6 +25,7 @@ from perception.evaluation.calibration_trials import (
     HandEyeTrial,
     Placed,
     PlacingTrial,
+    calibrated,
     drift_trial,
     plug_placed,
     told_when_mated,
@@ -58,6 +61,28 @@ def test_a_perfect_arm_is_where_it_says() -> None:
     assert perfect.true_flange(pose).distance_to(pose) < 1e-6
 
 
+def test_an_arm_that_hangs_is_lower_than_it_says_and_the_more_so_the_farther_it_reaches() -> None:
+    hanging = TrueCell(Chain.nominal(), Pose.identity(), Pose.identity(), compliance_rad_per_nm=3e-6)
+    near, far = (Pose(FACING_X, np.array([x, 0.1, 0.45])) for x in (0.6, 0.9))
+    sags = [pose.translation - hanging.true_flange(pose).translation for pose in (near, far)]
+    assert 0.0001 < sags[0][2] < sags[1][2] < 0.0008
+    assert np.abs(np.array(sags)[:, :2]).max() < 0.0003
+
+
+def test_gravity_turns_no_joint_whose_axis_is_upright_and_the_shoulder_by_weight_times_lever() -> None:
+    stretched = np.zeros(6)  # along the base's -x
+    torques = Chain.nominal().torques(stretched)
+    assert torques[0] == pytest.approx(0.0, abs=1e-9)
+    levers_m = [0.0, 0.6127 / 2, 0.6127 + 0.57155 / 2, 0.6127 + 0.57155, 0.6127 + 0.57155, 0.6127 + 0.57155]
+    expected = 9.81 * (np.array([13.1, 4.0, 2.1, 2.0, 0.6, 3.0]) @ [*levers_m[1:], 0.6127 + 0.57155])
+    assert abs(torques[1]) == pytest.approx(expected, rel=1e-3)
+
+
+def test_a_clock_that_is_off_is_estimated_with_the_mounting() -> None:
+    cell = replace(draw_cell(np.random.default_rng(2)), time_offset_s=0.004)
+    assert calibrated(cell, np.random.default_rng(3)).mounting.time_offset_s == pytest.approx(0.004, abs=3e-4)
+
+
 def test_the_drift_trial_sees_a_bump() -> None:
     found = [drift_trial(seed) for seed in range(10)]
     assert sum(trial.docks_to_warning is not None and trial.docks_to_warning <= 8 for trial in found) >= 9
@@ -66,9 +91,9 @@ def test_the_drift_trial_sees_a_bump() -> None:
 def test_the_table_says_no_where_a_bar_is_missed() -> None:
     good, bad = HandEyeTrial(0.05, 0.01, True), HandEyeTrial(0.5, 0.2, False)
     placed = PlacingTrial(0.2, Placed(0.8, True), Placed(0.2, True))
-    text = table(rows(20, [good] * 19 + [good], [placed] * 5, [DriftTrial(False, 3)] * 5), 20)
+    text = table(rows(20, Trials([good] * 20, [placed] * 5, [placed] * 5, [DriftTrial(False, 3)] * 5)), 20)
     assert "| hand-eye position, perfect arm, 95% quantile of 20 | 0.050 mm |" in text
-    missed = rows(20, [bad] * 20, [placed] * 5, [DriftTrial(True, None)] * 5)
+    missed = rows(20, Trials([bad] * 20, [placed] * 5, [placed] * 5, [DriftTrial(True, None)] * 5))
     assert [row.met for row in missed[1:4]] == [False, False, False]
     assert not missed[-1].met
 
@@ -76,8 +101,9 @@ def test_the_table_says_no_where_a_bar_is_missed() -> None:
 def test_a_plug_beyond_capture_is_no_first_try_and_two_of_a_hundred_are_too_many() -> None:
     good, astray = Placed(0.2, True), Placed(1.2, False)
     tries = [PlacingTrial(0.2, astray, good)] * 98 + [PlacingTrial(0.2, astray, astray)] * 2
-    found = {row.what: row for row in rows(20, [HandEyeTrial(0.05, 0.01, True)], tries, [DriftTrial(False, 3)])}
-    taught, untaught = (found[f"first tries within capture {when}"] for when in ("after teaching", "without teaching"))
+    found = {row.what: row for row in rows(20, Trials([HandEyeTrial(0.05, 0.01, True)], [], tries, []))}
+    after, without = (f"first tries within capture {when} teaching, all errors" for when in ("after", "without"))
+    taught, untaught = found[after], found[without]
     assert (taught.value, taught.met, untaught.value, untaught.bar) == ("98/100", False, "0/100", "reported")
 
 
