@@ -159,8 +159,8 @@ def table(found: Sequence[Row], runs: int) -> str:
     """Markdown."""
     lines = [
         f"`portdock evaluate calibration --runs {runs}`: seeds from 0; {CARS} car positions (+-100 mm, +-10 deg each"
-        " axis) for each cell with an erring arm; all errors: its sag and the scanner's clock too. What counts as within"
-        " capture is in the port file of ccs2. Pure simulation: no wires, no outliers.",
+        " axis) for each cell with an erring arm; all errors: its sag and the scanner's clock too. What counts as"
+        " within capture is in the port file of ccs2. Pure simulation: no wires, no outliers.",
         "",
         "| what | measured | 95 % interval | bar | met |",
         "|---|---|---|---|---|",
