@@ -37,11 +37,15 @@ _PLANES = 6
 """Flat things that are looked at, the largest first."""
 _POCKET_M = 0.045
 """No pocket ends nearer to the port's axis."""
-_SKIN_SLOPE = 0.15
+_SKIN_SLOPE = 0.2
+"""Less than the flattest flap's that counts as open."""
 _SIDE_CELLS = 15
+_SHELF_CELLS, _HEIGHT_STEP_M = 150, 0.003
+"""So much at heights within two steps is something wide."""
 _TRIALS = 400
 _MIN_POINTS = 60
-_MIN_SPAN_M = 0.03
+_MIN_SPAN_M, _MIN_SEEN_M = 0.045, 0.02
+"""Narrower or lower things are trims and clutter."""
 _HINGE_M = (0.025, 0.15)
 """Distance of the hinge from the port's origin."""
 _OPENING_RAD = (1.25, 2.92)
@@ -89,7 +93,7 @@ def find_cover(cloud: Cloud, estimate: PortEstimate) -> OpenCover | None:
         return None
     rng = np.random.default_rng(0)  # the same scan gives the same answer
     level, everything = _panel_level(thin), _without_strays(thin[thin[:, 2] - _panel_height(thin) > _PROUD_M])
-    proud = everything
+    proud = at_first = everything
     found = list[OpenCover]()
     for _ in range(_PLANES):
         if len(proud) < _MIN_POINTS:
@@ -100,17 +104,35 @@ def find_cover(cloud: Cloud, estimate: PortEstimate) -> OpenCover | None:
             proud = everything = _without_strays(thin[(thin @ plane[:3] - plane[3]) / plane[2] > _PROUD_M])
             continue
         cover = _as_cover(plane, proud[on_plane], everything, level, estimate.T_ref_port)
-        found += [] if cover is None else [cover]
+        others = at_first[np.abs(at_first @ plane[:3] - plane[3]) > _THICK_M]
+        found += [] if cover is None or _ends_at_skin(proud[on_plane], others) else [cover]
         proud = proud[~on_plane]
     # Two at different sides are walls of the pocket that the inlet lies in.
     return found[0] if len({cover.side for cover in found}) == 1 else None
+
+
+def _is_level(plane: Array) -> bool:
+    """Hardly tilted against the port's face."""
+    return bool(np.hypot(plane[0], plane[1]) < _SKIN_SLOPE * abs(plane[2]))
+
+
+def _ends_at_skin(points: Array, others: Array) -> bool:
+    """Whether a plane's points (N, 3) end at the height of something wide: a wall that leads up to the skin.
+
+    Of the skin around a pocket an askew scan may show no more than curved strips at one or two sides.
+
+    :param others: (M, 3) what else stands proud of the lowest level.
+    """
+    counts, edges = np.histogram(others[:, 2], np.arange(_PANEL_M[0], _REACH_M, _HEIGHT_STEP_M))
+    wide = edges[1:-1][counts[:-1] + counts[1:] >= _SHELF_CELLS]
+    return bool((np.abs(np.quantile(points[:, 2], 0.95) - wide) < _PROUD_M).any())
 
 
 def _is_skin(plane: Array, points: Array) -> bool:
     """Whether a plane is the vehicle's skin around the pocket: hardly tilted, large, and on three sides of the port."""
     x, y = points[:, 0], points[:, 1]
     outside = np.hypot(x, y) > _POCKET_M
-    if np.hypot(plane[0], plane[1]) > _SKIN_SLOPE * abs(plane[2]) or outside.sum() < _PANEL_CELLS:
+    if not _is_level(plane) or outside.sum() < _PANEL_CELLS:
         return False
     wide, far = np.abs(x) >= np.abs(y), outside
     sides = [far & wide & (x > 0), far & wide & (x < 0), far & ~wide & (y > 0), far & ~wide & (y < 0)]
@@ -193,7 +215,7 @@ def _as_cover(plane: Array, points: Array, proud: Array, panel_m: float, T_ref_p
     along, up = (points - origin) @ hinge, (points - origin) @ away
     span, seen = np.quantile(along, [0.01, 0.99]), float(np.quantile(up, 0.99))
     likely = _HINGE_M[0] < distance < _HINGE_M[1] and _OPENING_RAD[0] < opening < _OPENING_RAD[1]
-    if not likely or span[1] - span[0] < _MIN_SPAN_M or seen < 0.012 or up.min() < -0.02:
+    if not likely or span[1] - span[0] < _MIN_SPAN_M or seen < _MIN_SEEN_M or up.min() < -0.02:
         return None
     if _has_top(proud - origin, np.stack([hinge, away, np.append(outward, 0.0)]), span, seen):
         return None

@@ -122,3 +122,21 @@ def test_a_trim_beside_the_pocket_is_no_flap_also_where_its_top_is_larger_than_i
     wall = _upright(0.08, (-0.05, 0.05), (0.02, 0.038), across_x=True)
     top = _flat((0.08, 0.11), (-0.05, 0.05), 0.038)
     assert find_cover(Cloud(np.vstack([panel, wall, top])), estimate(Pose.identity())) is None
+
+
+def test_a_pockets_wall_is_no_flap_where_an_askew_scan_shows_the_skin_at_two_sides_only() -> None:
+    """As a mock cell's scanner saw it: the wall at the right leans too much for a flap, the one below does not."""
+    floor = _flat((-0.08, 0.063), (-0.107, 0.07), -0.002)
+    below = _upright(-0.107, (-0.055, 0.075), (-0.002, 0.034), across_x=False)
+    leaning = sheet((-0.107, 0.07), (-0.002, 0.034))
+    right = np.column_stack([0.064 + 0.32 * leaning[:, 1], leaning])
+    strips = [_flat((0.075, 0.086), (-0.107, 0.07), 0.033), _flat((-0.055, 0.086), (-0.112, -0.107), 0.033)]
+    assert find_cover(Cloud(np.vstack([floor, below, right, *strips])), estimate(Pose.identity())) is None
+
+
+@pytest.mark.parametrize(("half_width", "height"), [(0.06, 0.012), (0.018, 0.04)])
+def test_what_is_too_low_or_too_narrow_for_a_flap_is_none(half_width: float, height: float) -> None:
+    panel = vehicle(120.0)
+    panel = panel[panel[:, 2] < 0.025]
+    box = _upright(0.08, (-half_width, half_width), (0.02, 0.02 + height), across_x=True)
+    assert find_cover(Cloud(np.vstack([panel, box])), estimate(Pose.identity())) is None
