@@ -35,9 +35,7 @@ POWER_S = 30.0
 def stage(task: Task) -> Event:
     """Reserve the charger, go to where the next sweep starts."""
     if not task.now.reserved:
-        task.must(ChargerRequest.RESERVE)
-        task.must(ChargerRequest.UNLOCK_DOCK)
-        task.now.reserved = True
+        _reserve(task)
     _back_out(task)
     task.cell.arm.set_obstacles(())  # what was seen last time may have moved with the car, or been closed
     motion, patience_s = task.config.motion, task.config.deadlines.staging_s
@@ -46,6 +44,15 @@ def stage(task: Task) -> Event:
     task.cell.travel(MoveJoints(start, float(speed), float(acceleration)), patience_s)
     task.cell.settle(0.001, patience_s)
     return Event.AT_STAGING
+
+
+def _reserve(task: Task) -> None:
+    """The charger is ours. One that did not hear the end of the session before is released from that first."""
+    if task.cell.charger_says(lambda s: s.state in (ChargerState.READY, ChargerState.FINISHED)):
+        task.must(ChargerRequest.RELEASE)
+    task.must(ChargerRequest.RESERVE)
+    task.must(ChargerRequest.UNLOCK_DOCK)
+    task.now.reserved = True
 
 
 def scan(task: Task) -> Event:

@@ -171,6 +171,17 @@ class StandInArm:
         self.pose = Pose(self.pose.rotation, self.pose.translation + travel_m)
 
 
+_FREE = (ChargerState.IDLE, ChargerState.RESERVED)
+_SESSION = {
+    ChargerRequest.RESERVE: ChargerState.RESERVED,
+    ChargerRequest.UNLOCK_DOCK: ChargerState.READY,
+    ChargerRequest.STOP_POWER: ChargerState.FINISHED,
+    ChargerRequest.RELEASE: ChargerState.IDLE,
+    ChargerRequest.ABORT: ChargerState.IDLE,
+}
+"""Where a request leads that is not refused."""
+
+
 class StandInCharger:
     """Answers every request at once; senses the plug by its depth."""
 
@@ -186,6 +197,8 @@ class StandInCharger:
         self.requests: list[ChargerRequest] = []
         self.beats: list[Heartbeat] = []
         self.poses: list[DockPose | None] = []
+        self.session = ChargerState.IDLE
+        self._refused = False
         self._lock = PlugLock.UNLOCKED
         self._power = False
 
@@ -201,7 +214,7 @@ class StandInCharger:
         finished = self.full and inserted
         status = ChargerStatus(
             time_s=now_s,
-            state=ChargerState.CHARGING if flowing else ChargerState.FINISHED if finished else ChargerState.READY,
+            state=ChargerState.CHARGING if flowing else ChargerState.FINISHED if finished else self.session,
             proximity=Proximity.LATCHED if inserted else Proximity.ABSENT,
             pilot=Pilot.C if flowing else Pilot.A,
             lock=self._lock,
@@ -227,6 +240,10 @@ class StandInCharger:
 
     def request(self, request: ChargerRequest, argument: int = 0) -> int:
         self.requests.append(request)
+        self._refused = request is ChargerRequest.RESERVE and self.session not in _FREE
+        if self._refused:
+            return len(self.requests)
+        self.session = _SESSION.get(request, self.session)
         match request:
             case ChargerRequest.LOCK_PLUG | ChargerRequest.UNLOCK_PLUG if self.lock_stops_halfway:
                 self._lock = PlugLock.FAULT
@@ -241,7 +258,7 @@ class StandInCharger:
         return len(self.requests)
 
     def result(self, sequence: int) -> RequestResult:
-        return RequestResult.DONE
+        return RequestResult.REJECTED if self._refused else RequestResult.DONE
 
     def refusal(self) -> str:
         return ""

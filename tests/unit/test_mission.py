@@ -51,6 +51,17 @@ def test_power_is_wanted_only_after_the_lock_and_gone_before_it_opens(tmp_path: 
     ]
 
 
+@pytest.mark.parametrize("session", [ChargerState.READY, ChargerState.FINISHED])
+def test_a_charger_that_missed_the_end_of_the_session_before_is_released_from_it_first(
+    tmp_path: Path, session: ChargerState
+) -> None:
+    """It was silent when the mission before ended in a fault: it would reject the reservation for ever."""
+    rig = Rig(tmp_path)
+    rig.charger.session = session
+    assert rig.run().kind == "charged"
+    assert rig.charger.requests[:2] == [ChargerRequest.RELEASE, ChargerRequest.RESERVE]
+
+
 def test_the_insertion_axis_is_on_disk_before_contact_and_gone_when_the_plug_is_out(tmp_path: Path) -> None:
     rig = Rig(tmp_path)
     stored = []
