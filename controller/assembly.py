@@ -13,6 +13,7 @@ from typing import Protocol
 from controller import wiring
 from controller.cell import Cell, CommandLog, Locator
 from controller.config import SiteConfig
+from controller.memory import keep_little
 from controller.pace import PacedClock
 from controller.perception_worker import PerceptionWorker, PreparedModel
 from controller.port_files import load_port
@@ -51,6 +52,7 @@ def assemble(
 ) -> Assembly:
     """Open everything and start the tick. Raises LinkOpenError, and ConfigError before anything is opened."""
     keep_time()
+    keep_little()
     wall = MonotonicClock()
     clock = PacedClock(pace, wall)
     devices = wiring.build_devices(config, evidence, wall)

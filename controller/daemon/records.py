@@ -18,6 +18,7 @@ from controller.config import SiteConfig
 from controller.daemon.protocol import Event, ProgressEvent, StateEvent
 from controller.faults import Outcome
 from controller.insertion import Insertion
+from controller.memory import give_back
 from controller.perception_worker import PreparedModel
 from controller.recording.log import log_into
 from controller.recording.recorder import Recorder
@@ -127,6 +128,7 @@ class Recordings:
         except Exception:  # whatever it is costs the recording its end, never the mission
             log.exception("%s lacks its end", recorder.path)
         self._closing.close()
+        give_back()
         recording = self._config.recording
         prune(Path(recording.folder), int(recording.keep_mb * 1e6))
         if self._reports and recorder.failure is None:
