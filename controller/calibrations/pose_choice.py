@@ -17,7 +17,7 @@ from perception.geometry import Pose
 from perception.scan import Scan
 
 CANDIDATES = 36
-MIN_POINTS_FORESEEN = 150
+MIN_POINTS_FORESEEN = 200
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -6,6 +6,7 @@ three largest planes, and these are matched with the first sweep's by their dire
 
 from __future__ import annotations
 
+import logging
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,7 +17,10 @@ from perception.calibration.sightings import Mounting, Sightings
 from perception.calibration.targets import PlanesTarget
 from perception.geometry import Array
 
+log = logging.getLogger(__name__)
+
 PLANES = 3
+LEAST_SWEEPS = 4
 TRIES = 300
 THICK_M = 0.001
 MIN_SHARE = 0.06
@@ -38,18 +42,27 @@ class FoundPlanes:
 
 
 def find_planes(seen: Sightings, guess: Mounting, rng: np.random.Generator) -> FoundPlanes:
-    """Three planes in every sweep. Raises CalibrationError for a sweep that does not show three that differ enough."""
+    """Three planes in the sweeps; a sweep that does not show three that differ enough is left out.
+
+    :raises CalibrationError: what is wrong with the first such sweep, where too few others are left
+    """
     points, owner = seen.in_base(guess), seen.sweep_of_point
-    plane = np.full(len(seen), -1)
+    plane, used = np.full(len(seen), -1), 0
     known: tuple[Array, Array] | None = None
+    problem: CalibrationError | None = None
     for number in np.unique(owner):
         chosen = np.flatnonzero(owner == number)
-        normals, offsets, label = _cut(points[chosen], int(number), rng)
-        known = known or (normals, offsets)
-        matched = _matched(normals, known[0], int(number))
+        try:
+            normals, offsets, label = _cut(points[chosen], int(number), rng)
+            matched = _matched(normals, normals if known is None else known[0], int(number))
+        except CalibrationError as error:
+            log.info("left out: %s", error.cause)
+            problem = problem or error
+            continue
+        known, used = known or (normals, offsets), used + 1
         plane[chosen] = np.where(label >= 0, matched[label], -1)
-    if known is None:
-        raise CalibrationError("there are no sweeps to calibrate from")
+    if known is None or used < LEAST_SWEEPS:
+        raise problem or CalibrationError(f"{used} sweeps are too few to calibrate from")
     return FoundPlanes(plane >= 0, PlanesTarget(known[0], known[1], plane[plane >= 0]))
 
 

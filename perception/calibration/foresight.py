@@ -25,8 +25,6 @@ HALF_FAN = 0.28
 """Tangent of half the laser fan's angle."""
 MOST = 600
 """Points of one sweep, thinned: the solver takes no more of it."""
-STEEPEST = 0.42
-"""Cosine of the steepest incidence at which the solver takes ranges."""
 
 
 KNOWN_M, KNOWN_RAD = 0.02, float(np.deg2rad(10.0))
@@ -56,7 +54,7 @@ class Foreseen:
     coupling: Array
     """(K, 3)."""
     points: int
-    """So many rays meet the target: few mean that the sweep would miss it."""
+    """So many rays meet the target, were all its parts met as the least: few mean that the sweep would miss one."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -75,7 +73,9 @@ def foreseen(sweep: Sweep, skin: Skin, mounting: Mounting, asked: Asked) -> Fore
     distances = Distances(np.zeros(len(seen)), skin.normals[met], skin.own[met])
     jacobian = np.column_stack([mounting_jacobian(seen, mounting, distances)[:, asked.columns], distances.own])
     normal, pull = ((jacobian * (rays * weight)[:, None]).T @ jacobian for weight in (1.0, steep**2))
-    return Foreseen(normal, pull, coupling(jacobian, rays, distances.gradient), int(rays.sum()))
+    parts = int(skin.part.max()) + 1
+    least = np.bincount(skin.part[met], rays, minlength=parts).min()
+    return Foreseen(normal, pull, coupling(jacobian, rays, distances.gradient), int(parts * least))
 
 
 def covariance_after(sweeps: Sequence[Foreseen], expected: Expected) -> Array:
@@ -117,7 +117,7 @@ def _sightings(sweep: Sweep, skin: Skin, mounting: Mounting) -> tuple[Sightings,
     x, z = in_plane[:, 0], np.maximum(in_plane[:, 2], 1e-6)
     ranges = np.hypot(x, z)
     steep = -np.einsum("ni,ni->n", skin.normals @ T_base_scanner.rotation, in_plane) / ranges
-    met = (share > 0.0) & (share < 1.0) & (in_plane[:, 2] > 0.0) & (np.abs(x) < HALF_FAN * z) & (steep > STEEPEST)
+    met = (share > 0.0) & (share < 1.0) & (in_plane[:, 2] > 0.0) & (np.abs(x) < HALF_FAN * z) & (steep > skin.steepest)
     cell_m2 = (abs(forward[1]) / PROFILES) * (2.0 * HALF_FAN / RAYS * ranges[met])  # that one ray covers, square on
     count = int(met.sum())
     translations = start.translation + share[met, None] * way

@@ -9,6 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from perception.calibration.targets import PlanesTarget, PortTarget, SphereTarget
 from perception.geometry import Array, Pose
@@ -17,6 +18,8 @@ from perception.surface import Surface
 SPHERE_SAMPLES = 800
 FACE_M, FACE_STEP_M = 0.150, 0.005
 """A corner's faces are squares of at least this size; and how densely they are sampled."""
+STEEPEST_ON_FACE = 0.2
+"""A face has no edge in sight that a slanting ray could blur; beyond 78 deg little comes back."""
 PORT_STEP_M = 0.0015
 EDGE_M = 0.0008
 """Port samples nearer to an edge are left out, as the solver leaves such points out."""
@@ -38,6 +41,10 @@ class Skin:
     """(N, K) change of the distance with the target's own parameters."""
     area_m2: Array
     """(N,) that each sample stands for."""
+    part: NDArray[np.int64]
+    """(N,) number of the part that each is on; a sweep is to meet all parts."""
+    steepest: float = 0.42
+    """Cosine of the steepest incidence at which ranges are of use."""
 
 
 def sphere_skin(target: SphereTarget) -> Skin:
@@ -48,7 +55,7 @@ def sphere_skin(target: SphereTarget) -> Skin:
     outward = np.column_stack([flat * np.cos(angle), flat * np.sin(angle), z])
     points = target.centre + target.radius_m * outward
     area_m2 = np.full(SPHERE_SAMPLES, 4.0 * np.pi * target.radius_m**2 / SPHERE_SAMPLES)
-    return Skin(points, outward, target.distances(points).own, area_m2)
+    return Skin(points, outward, target.distances(points).own, area_m2, np.zeros(SPHERE_SAMPLES, np.int64))
 
 
 def expected_corner(T_base_port: Pose) -> PlanesTarget:
@@ -77,7 +84,7 @@ def corner_skin(target: PlanesTarget, robot: Array) -> Skin:
     plane = np.repeat(np.arange(3), len(u))
     own = PlanesTarget(outward, target.offsets * side, plane).distances(points).own
     skewed = [np.linalg.norm(np.cross(edges[(k + 1) % 3], edges[(k + 2) % 3])) for k in range(3)]
-    return Skin(points, outward[plane], own, FACE_STEP_M**2 * np.array(skewed)[plane])
+    return Skin(points, outward[plane], own, FACE_STEP_M**2 * np.array(skewed)[plane], plane, STEEPEST_ON_FACE)
 
 
 def port_skin(T_base_port: Pose, surface: Surface) -> Skin:
@@ -87,4 +94,4 @@ def port_skin(T_base_port: Pose, surface: Surface) -> Skin:
     chosen = (some.edge_m > EDGE_M) & (some.visibility > SEEN)
     points = T_base_port.apply(some.points[chosen])
     distances = target.distances(points)
-    return Skin(points, distances.gradient, distances.own, some.area_m2[chosen])
+    return Skin(points, distances.gradient, distances.own, some.area_m2[chosen], np.zeros(len(points), np.int64))
