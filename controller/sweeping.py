@@ -24,7 +24,8 @@ from drivers.base import ArmState
 from perception.geometry import Pose
 from perception.scan import Profile, Scan
 
-FIRST_PROFILE_S = 5.0
+FIRST_PROFILE_S, SILENT_LINK_S = 5.0, 3.0
+"""The second in wall time: what silences the scanner may be a lost link, which is told by then and is the cause."""
 """The laser is on, so a profile comes within this time; else the scanner is as good as lost."""
 TRAILING_S = 30.0
 """How long profiles measured before the end of the motion may be on their way (a slow line, a busy host)."""
@@ -140,7 +141,7 @@ def _laser(cell: Cell, collector: Collector) -> Iterator[None]:
     """On until the first profile comes and while the body runs, then off whatever happened."""
     try:
         cell.do(Laser(on=True))
-        if not cell.supervisor.wait(collector.collect, FIRST_PROFILE_S):
+        if not cell.supervisor.wait(collector.collect, max(FIRST_PROFILE_S, SILENT_LINK_S * cell.time_scale)):
             raise MissionFault(FaultCode.SCAN_FAILED, "the laser is on but no profile comes")
         yield
     finally:

@@ -49,6 +49,19 @@ def test_a_sphere_gives_mounting_and_time_offset_from_a_far_guess() -> None:
     assert off @ np.linalg.solve(solved.covariance[:7, :7], off) < 24.3  # chi2, 7 degrees of freedom, 99.9 %
 
 
+def test_sweeps_that_show_two_faces_of_a_corner_are_left_out_until_too_few_others_are_left() -> None:
+    seen = sightings(Rig(target="corner", sweeps=6).scans(), max_points=1500)
+    whole = find_planes(seen, Mounting(T_FLANGE_SCANNER), np.random.default_rng(0))
+    plane, owner = whole.target.plane, seen.sweep_of_point[whole.on_planes]
+    assert set(owner) == set(range(6))
+    points = seen.of(whole.on_planes)
+    lacking = points.of(~((plane == 0) & (owner < 2)))
+    found = find_planes(lacking, Mounting(T_FLANGE_SCANNER), np.random.default_rng(0))
+    assert set(lacking.sweep_of_point[found.on_planes]) == {2, 3, 4, 5}
+    with pytest.raises(CalibrationError, match="sweep 1 shows only 2 planes"):
+        find_planes(points.of(~((plane == 0) & (owner < 3))), Mounting(T_FLANGE_SCANNER), np.random.default_rng(0))
+
+
 def test_noise_free_sweeps_give_the_mounting_exactly() -> None:
     _, solved = by_sphere(Rig(noise_m=0.0, time_offset_s=-0.01), Asked())
     assert np.abs(error(solved, -0.01)).max() < 1e-6
