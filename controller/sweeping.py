@@ -24,9 +24,10 @@ from drivers.base import ArmState
 from perception.geometry import Pose
 from perception.scan import Profile, Scan
 
-FIRST_PROFILE_S, SILENT_LINK_S = 5.0, 3.0
-"""The second in wall time: what silences the scanner may be a lost link, which is told by then and is the cause."""
+FIRST_PROFILE_S = 5.0
 """The laser is on, so a profile comes within this time; else the scanner is as good as lost."""
+SILENT_LINK_S = 3.0
+"""Of wall time: a lost link is told by then, and is the cause where the scanner waits for what is lost."""
 TRAILING_S = 30.0
 """How long profiles measured before the end of the motion may be on their way (a slow line, a busy host)."""
 CLOCK_HISTORY_S = 60.0
