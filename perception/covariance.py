@@ -13,6 +13,8 @@ from perception.geometry import Array
 from perception.refine import Refined
 
 PATCH_M = 0.006
+BUILT_M = 0.0002
+"""Flats that are at odds by no more are as parts are built; by more, and which of them is right is not known."""
 ACROSS_M = 0.00001
 ACROSS_SIGMAS = 0.2
 """Standard deviation across the axis that no residual shows, and its share of the noise: mixed pixels and shadows
@@ -34,7 +36,8 @@ def covariance(refined: Refined) -> Array:
     clustered = inverse @ (sums.T @ sums) @ inverse * (count / max(count - 6, 1))
     across = ACROSS_M + ACROSS_SIGMAS * refined.scale_m
     tilt = TILT_SIGMAS * refined.scale_m / LEVER_M
-    unseen = np.square([across, across, 0.0, tilt, tilt, across / LEVER_M])
+    along = max(0.0, abs(refined.depth_dispute_m) - BUILT_M)
+    unseen = np.square([across, across, along, tilt, tilt, across / LEVER_M])
     return np.asarray((inverse + clustered)[:6, :6] + np.diag(unseen))
 
 

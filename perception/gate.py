@@ -26,6 +26,8 @@ MAX_SHEAR_RAD = float(np.deg2rad(0.9))
 MAX_STRETCH = 0.010
 MAX_LEAN_RAD = float(np.deg2rad(2.0))
 """Of the 24 scans in docs/locator.md some hard and extreme ones exceed these; they explain nothing then (see below)."""
+MAX_DEPTH_DISPUTE_M = 0.0008
+"""Twice what a built port's contacts are off axially."""
 MIN_EXPLAINED = 0.3
 """A distortion that takes away less of what contradicts a pose is none: things before the port pull at it."""
 _PRIOR_SLACK_M = 0.006
@@ -44,6 +46,8 @@ class Findings:
     roll_dispute_rad: float = 0.0
     """How far the roll that the edges alone would have is from the pose's."""
     distortion: Distortion = UNDISTORTED
+    depth_dispute_m: float = 0.0
+    """How much higher than the model has it the flat that disagrees most is seen."""
 
 
 def reasons_against(findings: Findings, prior: Prior, limits: AcceptanceLimits) -> tuple[str, ...]:
@@ -53,6 +57,7 @@ def reasons_against(findings: Findings, prior: Prior, limits: AcceptanceLimits) 
         *_uncertain(findings, limits),
         *_unsupported(findings),
         *_distorted(findings.distortion),
+        *_of_other_depth(findings.depth_dispute_m),
     )
 
 
@@ -151,6 +156,14 @@ def _distorted(found: Distortion) -> list[str]:
     if not words:
         return []
     return [f"the scan is {' and '.join(words)} against the port: check hand-eye and the sweep's speed"]
+
+
+def _of_other_depth(dispute_m: float) -> list[str]:
+    """A port whose flats lie as the model has them sideways and not in depth is of another make, or a wrong model."""
+    if abs(dispute_m) <= MAX_DEPTH_DISPUTE_M:
+        return []
+    where = "higher" if dispute_m > 0 else "deeper"
+    return [f"a flat of the port is seen {abs(dispute_m) * 1e3:.1f} mm {where} than the model has it: check its depths"]
 
 
 def verdict(findings: Findings, against: tuple[str, ...]) -> Verdict:

@@ -158,7 +158,16 @@ def _judged(
     timer.lap("covariance")
     evidence = judge(pose, scene, model, refined.scale_m)
     margin = _margin(score(pose, scene.thin_points, model), pose, ranked)
-    findings = Findings(pose, cov, refined.rms_m, evidence, margin, refined.roll_dispute_rad, refined.distortion)
+    findings = Findings(
+        pose,
+        cov,
+        refined.rms_m,
+        evidence,
+        margin,
+        refined.roll_dispute_rad,
+        refined.distortion,
+        refined.depth_dispute_m,
+    )
     against = reasons_against(findings, prior, model.limits)
     timer.lap("evidence")
     return PortEstimate(

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from perception.crop import Scene
+from perception.depths import depth_dispute
 from perception.distortion import UNDISTORTED, Distortion, distortion
 from perception.edges import edge_rows
 from perception.errors import DegenerateCloudError
@@ -72,6 +73,8 @@ class Refined:
     """How far from this roll the port's edges alone would have it."""
     distortion: Distortion = UNDISTORTED
     """Of the scan around this pose."""
+    depth_dispute_m: float = 0.0
+    """How much higher than the model has it the flat that disagrees most is seen."""
 
     @property
     def rms_m(self) -> float:
@@ -112,10 +115,12 @@ def refine(start: Pose, scene: Scene, model: PortModel, *, threads: int = 2) -> 
     if settled.angle_to(final.T_prior_port) > _DISPUTE_RAD:
         final = fit.rounds(settled, everything, final.scale_m, last)
         settled = settle_sideways(final.T_prior_port, everything, model, final.scale_m, first=1, points=6_000)
+    pose, scale = final.T_prior_port, final.scale_m
     return replace(
         final,
-        roll_dispute_rad=settled.angle_to(final.T_prior_port),
-        distortion=distortion(final.T_prior_port, everything, model, final.scale_m),
+        roll_dispute_rad=settled.angle_to(pose),
+        distortion=distortion(pose, everything, model, scale),
+        depth_dispute_m=depth_dispute(pose, everything, model.flats, scale),
     )
 
 
