@@ -9,7 +9,7 @@ from controller.port_library import has_model, load_model, user_models
 from perception.errors import UnknownPortError
 from perception.mesh_io import MESH_SUFFIXES, read_mesh
 from perception.port_model import PortModel
-from perception.port_shape import build_mesh
+from perception.port_shape import build_mesh, loose_heights_m
 
 
 def port_model(name_or_path: str, unit: str = "m") -> PortModel:
@@ -32,4 +32,5 @@ def port_model(name_or_path: str, unit: str = "m") -> PortModel:
         own = ", ".join(model.name for model in user_models())
         raise UnknownPortError(error.cause, remedy=f"{error.remedy}{f' Your own: {own}.' if own else ''}") from error
     vertices, faces = build_mesh(port.shape)
-    return PortModel.from_mesh(port.name, vertices, faces, T_port_tcp=port.T_port_tcp)
+    loose = loose_heights_m(port)
+    return PortModel.from_mesh(port.name, vertices, faces, T_port_tcp=port.T_port_tcp, loose_heights_m=loose)

@@ -66,6 +66,8 @@ class PortModel:
     T_port_tcp: Pose = field(default_factory=Pose.identity)
     """Where the plug's tool centre is when mated."""
     limits: AcceptanceLimits = field(default_factory=AcceptanceLimits)
+    loose_heights_m: tuple[float, ...] = ()
+    """Heights over the rim plane of flats that lie elsewhere in another make's port."""
 
     @staticmethod
     def from_mesh(
@@ -75,12 +77,14 @@ class PortModel:
         *,
         T_port_tcp: Pose | None = None,
         limits: AcceptanceLimits | None = None,
+        loose_heights_m: tuple[float, ...] = (),
         cache_dir: Path | None = None,
     ) -> PortModel:
         """Prepares a model from a triangle mesh, or takes the prepared one from the cache.
 
         :param vertices: (V, 3) metres, port frame.
         :param faces: (F, 3); degenerate ones are tolerated.
+        :param loose_heights_m: flats, facing along the axis, whose height differs from make to make.
         :param cache_dir: where prepared models are kept; None for the user's cache directory.
         :raises MeshError: no usable face.
         :raises UnitError: a size that no port has.
@@ -104,6 +108,7 @@ class PortModel:
             checksum,
             T_port_tcp or Pose.identity(),
             limits or AcceptanceLimits(),
+            loose_heights_m,
         )
 
     @cached_property

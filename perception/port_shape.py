@@ -178,6 +178,16 @@ def build_parts(shape: PortShape) -> PortMesh:
     return PortMesh(vertices, faces, _name_floors(vertices, faces, part))
 
 
+def loose_heights_m(port: PortDescription) -> tuple[float, ...]:
+    """Heights of the flats of parts that the standard leaves to the makers, metres over the rim plane."""
+    mesh = build_parts(port.shape)
+    corners = mesh.vertices[mesh.faces]
+    flat = np.ptp(corners[:, :, 2], axis=1) < 1e-9
+    fixed = np.isin(mesh.part, [PARTS.index(name) for name in port.fixed_parts])
+    at = {loose: np.unique(np.round(corners[flat & (fixed != loose), 0, 2], 6)) for loose in (True, False)}
+    return tuple(float(height) for height in np.setdiff1d(at[True], at[False]))
+
+
 def _name_floors(vertices: Array, faces: Ints, part: Ints) -> Ints:
     """Cavity and well faces that look out of the vehicle are floor."""
     a, b, c = (vertices[faces[:, k]] for k in range(3))
@@ -298,5 +308,6 @@ __all__ = [
     "RoundedRect",
     "build_mesh",
     "build_parts",
+    "loose_heights_m",
     "outline_bounds",
 ]

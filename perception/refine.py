@@ -120,7 +120,7 @@ def refine(start: Pose, scene: Scene, model: PortModel, *, threads: int = 2) -> 
         final,
         roll_dispute_rad=settled.angle_to(pose),
         distortion=distortion(pose, everything, model, scale),
-        depth_dispute_m=depth_dispute(pose, everything, model.flats, scale),
+        depth_dispute_m=depth_dispute(pose, everything, model.flats, scale, model.loose_heights_m),
     )
 
 

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from controller.port_files import load_port
+from controller.port_models import port_model
 from perception.covariance import BUILT_M
 from perception.depths import depth_dispute
 from perception.evaluation.locate_cases import make_scan, positive_cases
@@ -17,7 +18,7 @@ from perception.geometry import Array, Pose
 from perception.locate import locate
 from perception.matching import Measured
 from perception.port_model import PortModel
-from perception.port_shape import PortShape, build_mesh
+from perception.port_shape import PortShape, build_mesh, loose_heights_m
 
 SHAPE = load_port("ccs2").shape
 POSE = Pose.from_rotvec([0.1, -0.05, 0.2], [0.01, -0.02, 0.005])
@@ -29,14 +30,14 @@ def model() -> PortModel:
     return PortModel.from_mesh("ccs2", *build_mesh(SHAPE))
 
 
-def dispute(change: Array, seen: Array | None = None) -> float:
+def dispute(change: Array, seen: Array | None = None, loose: tuple[float, ...] = ()) -> float:
     """In a scan that is the model's own samples, moved along the axis by ``change`` (M,)."""
     surface = model().surface
     points = surface.points + np.column_stack([np.zeros((len(change), 2)), change])
     chosen = np.ones(len(points), dtype=bool) if seen is None else seen
     normals = POSE.rotate(surface.normals[chosen])
     measured = Measured(POSE.apply(points[chosen]), normals, np.zeros((int(chosen.sum()), 3)))
-    return depth_dispute(POSE, measured, model().flats, NOISE_M)
+    return depth_dispute(POSE, measured, model().flats, NOISE_M, loose)
 
 
 def on_rim() -> Array:
@@ -52,6 +53,17 @@ def test_a_port_as_drawn_and_noise_are_no_dispute() -> None:
 @pytest.mark.parametrize("off_m", [-0.002, 0.0015])
 def test_a_rim_that_lies_elsewhere_is_told_with_its_sign(off_m: float) -> None:
     assert dispute(np.where(on_rim(), off_m, 0.0)) == pytest.approx(off_m, abs=1e-4)
+
+
+def test_a_flat_that_every_make_has_elsewhere_is_no_dispute() -> None:
+    port = load_port("ccs2")
+    assert {-0.0065, -0.0495} <= set(loose_heights_m(port)), "flange and floor"
+    assert not {0.0, -0.002} & set(loose_heights_m(port)), "rim and insert"
+    assert port_model("ccs2").loose_heights_m == loose_heights_m(port)
+    on_flange = np.abs(model().surface.points[:, 2] + 0.0065) < 1e-5
+    lower = np.where(on_flange, -0.0015, 0.0)
+    assert dispute(lower) == pytest.approx(-0.0015, abs=1e-4)
+    assert dispute(lower, loose=loose_heights_m(port)) == pytest.approx(0.0, abs=1e-4)
 
 
 def test_a_little_of_a_flat_and_what_is_not_even_tell_nothing() -> None:
