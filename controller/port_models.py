@@ -32,5 +32,6 @@ def port_model(name_or_path: str, unit: str = "m") -> PortModel:
         own = ", ".join(model.name for model in user_models())
         raise UnknownPortError(error.cause, remedy=f"{error.remedy}{f' Your own: {own}.' if own else ''}") from error
     vertices, faces = build_mesh(port.shape)
-    loose = loose_heights_m(port)
+    # A port that is not known well (some round ones: by flange corners alone) is found by all that it has.
+    loose = () if port.teach_before_docking else loose_heights_m(port)
     return PortModel.from_mesh(port.name, vertices, faces, T_port_tcp=port.T_port_tcp, loose_heights_m=loose)

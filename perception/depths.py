@@ -18,7 +18,6 @@ _WITHIN_M = 0.0005
 """A point belongs to a flat if it lies so far within its edge."""
 _REACH_M = 0.004
 """And no farther than this from its height."""
-_SAME_M = 0.0003
 _CELL_M = 0.0015
 _LEAST_CELLS = 30
 """Some 0.7 cm2 of a flat must be seen: tips of contacts tell nothing."""
@@ -27,19 +26,15 @@ _EVEN_SHARE = 0.6
 """So many of its points lie within three sigmas and this of their median, or it is no flat that is seen there."""
 
 
-def depth_dispute(
-    pose: Pose, measured: Measured, flats: Flats, scale_m: float, loose_heights_m: tuple[float, ...] = ()
-) -> float:
+def depth_dispute(pose: Pose, measured: Measured, flats: Flats, scale_m: float) -> float:
     """By how much the flat that disagrees most lies higher than the model has it, metres; 0.0 where none is seen.
 
     :param pose: T_prior_port.
     :param scale_m: noise of the scan (1 sigma).
-    :param loose_heights_m: flats that may lie anywhere, since each make has its own.
     """
     inverse = pose.inverse()
     local = inverse.apply(measured.points[inverse.rotate(measured.normals)[:, 2] > _FACING])
-    fixed = [k for k, height in enumerate(flats.heights) if all(abs(height - m) > _SAME_M for m in loose_heights_m)]
-    disputes = [_offset(local, flats, level, scale_m) for level in fixed]
+    disputes = [_offset(local, flats, level, scale_m) for level in range(len(flats.heights))]
     return max(disputes, key=abs, default=0.0)
 
 

@@ -6,7 +6,9 @@ no point may lie on a flat beyond its edge, and no ray may have passed through i
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +22,7 @@ REACH_M = 0.003
 _FLAT = 0.97
 """A surface is flat whose normal has at least this cosine with the axis."""
 _LEVEL_GAP_M = 0.0005
+_SAME_M = 0.0003
 _LEAST_AREA_M2 = 5e-6
 """Less than the tip of the smallest contact is no level."""
 
@@ -47,14 +50,19 @@ class Flats:
         if len(self.heights) == 0:
             return self
         group = np.cumsum(np.diff(self.heights, prepend=self.heights[0]) > gap_m)
-        distance = np.stack([self.distance[group == k].min(axis=0) for k in range(group[-1] + 1)])
+        distance = np.stack([np.fmin.reduce(self.distance[group == k]) for k in range(group[-1] + 1)])
         heights = np.array([self.heights[group == k].mean() for k in range(group[-1] + 1)])
         return Flats(self.low, heights, distance)
+
+    def without(self, heights_m: Sequence[float]) -> Flats:
+        """The same, where the levels at these heights tell nothing: NaN all over."""
+        silent = near_any(self.heights, heights_m)
+        return Flats(self.low, self.heights, np.where(silent[:, None, None], np.float16(np.nan), self.distance))
 
     def beyond(self, level: NDArray[np.int64], xy: Array) -> Array:
         """Signed distance (N,) from the edges of the levels (N,) at places (N, 2).
 
-        NaN beside the port, where the vehicle may be as high as any flat.
+        NaN beside the port, where the vehicle may be as high as any flat, and on levels that tell nothing.
         """
         (c00, c01, c10, c11), u, v, inside = self._around(level, xy)
         near, far = c00 + v * (c01 - c00), c10 + v * (c11 - c10)
@@ -76,6 +84,12 @@ class Flats:
         values = self.distance.ravel()  # one number a cell: several times as fast to gather as three
         corners = [values.take(first + step).astype(np.float64) for step in (0, 1, high, high + 1)]
         return corners, x - i, y - j, inside
+
+
+def near_any(heights: NDArray[np.floating[Any]], of_m: Sequence[float]) -> NDArray[np.bool_]:
+    """Which of the heights (N,) are one of the given ones."""
+    away = np.abs(heights[:, None] - np.asarray(of_m, dtype=np.float64))
+    return np.asarray(away.min(axis=1, initial=np.inf) < _SAME_M)
 
 
 def build_flats(vertices: Array, faces: NDArray[np.int64]) -> Flats:

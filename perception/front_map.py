@@ -7,12 +7,14 @@ a point there may have, how much the cell tells a pose from rolled ones, and whi
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import binary_dilation, binary_erosion, binary_fill_holes, label, maximum_filter, minimum_filter
 
+from perception.flats import near_any
 from perception.geometry import Array
 
 CELL_M = 0.0005
@@ -51,6 +53,15 @@ class FrontMap:
     def bores(self) -> int:
         """How many contact-sized bores there are."""
         return max(-int(self.feature.min()), 0)
+
+    def without(self, heights_m: Sequence[float]) -> FrontMap:
+        """The same, where flats at these heights around the rim belong to the port no more than the vehicle does."""
+        known = np.isfinite(self.highest)
+        around = known & ~_enclosed(known & (self.highest > -TOLERANCE_M))
+        silent = np.zeros_like(around)
+        silent[around] = near_any(self.highest[around], heights_m) | near_any(self.lowest[around], heights_m)
+        lowest, highest = (np.where(silent, np.float32(np.nan), heights) for heights in (self.lowest, self.highest))
+        return replace(self, lowest=lowest, highest=highest)
 
     def cells(self, local: Array) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.bool_]]:
         """Cell numbers of points (N, 2 or 3) and which of them lie in the port's outline."""

@@ -132,7 +132,7 @@ def _align_and_rank(
     if not candidates:
         raise DegenerateCloudError("nothing within the prior's bounds resembles the port")
     chosen = _subset(scene, settings.align_points)
-    weights = np.append(flat_weights(model.surface), 0.0)
+    weights = np.append(flat_weights(model.surface) * model.decides, 0.0)
     poses = [candidate.T_prior_port for candidate in candidates[: settings.candidates]]
     aligned = align(poses, scene.thin_points[chosen], scene.thin_normals[chosen], model, weights)
     scored = [(score(pose, scene.thin_points, model), pose) for pose in aligned]

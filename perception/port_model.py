@@ -6,6 +6,7 @@ import hashlib
 import logging
 import os
 import tempfile
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -14,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from perception.flats import Flats, build_flats
+from perception.flats import Flats, build_flats, near_any
 from perception.front_map import FrontMap, build_front_map
 from perception.geometry import Array, Pose
 from perception.mesh_io import checked_mesh
@@ -29,6 +30,7 @@ _VERSION = "19"
 SPACING_M = 0.0012
 EDGE_SPACING_M = 0.0005
 USUAL_ROLL_RAD = float(np.deg2rad(15.0))
+_FACING = 0.9
 FACING_M = 0.003
 """Millimetres of distance that a difference of one radian in facing direction counts as."""
 
@@ -67,7 +69,8 @@ class PortModel:
     """Where the plug's tool centre is when mated."""
     limits: AcceptanceLimits = field(default_factory=AcceptanceLimits)
     loose_heights_m: tuple[float, ...] = ()
-    """Heights over the rim plane of flats that lie elsewhere in another make's port."""
+    """Heights over the rim plane of flats that lie elsewhere in another make's port: they neither decide its pose nor
+    speak for or against it. ``flats``, ``front`` and ``templates`` are without them."""
 
     @staticmethod
     def from_mesh(
@@ -91,25 +94,36 @@ class PortModel:
         """
         vertices, faces = checked_mesh(name, np.asarray(vertices, dtype=np.float64), np.asarray(faces, dtype=np.int64))
         checksum = _checksum(vertices, faces)
-        path = (cache_dir or default_cache_dir()) / f"model-{_VERSION}-{checksum[:20]}.npz"
+        marked = "".join(f"-{round(-1e6 * height)}" for height in loose_heights_m)
+        path = (cache_dir or default_cache_dir()) / f"model-{_VERSION}-{checksum[:20]}{marked}.npz"
         prepared = _load(path)
         if prepared is None:
             dense = visible_surface(vertices, faces)
             surface = dense.thinned(SPACING_M, EDGE_SPACING_M)
-            templates = build_templates(surface, USUAL_ROLL_RAD)
+            templates = build_templates(surface.only(_decides(surface, loose_heights_m)), USUAL_ROLL_RAD)
             flats = build_flats(vertices, faces)
             prepared = surface, build_nearest(surface), build_front_map(dense.points), flats, templates
             _save(path, *prepared)
+        surface, nearest, front, flats, templates = prepared
         return PortModel(
             name,
             vertices,
             faces,
-            *prepared,
+            surface,
+            nearest,
+            front.without(loose_heights_m),
+            flats.without(loose_heights_m),
+            templates,
             checksum,
             T_port_tcp or Pose.identity(),
             limits or AcceptanceLimits(),
             loose_heights_m,
         )
+
+    @cached_property
+    def decides(self) -> Array:
+        """(M,) 1 for the samples that decide the pose, 0 for those on loose flats."""
+        return _decides(self.surface, self.loose_heights_m).astype(np.float64)
 
     @cached_property
     def tree(self) -> cKDTree:
@@ -121,12 +135,17 @@ class PortModel:
         """The signed volumes for rolls up to ``roll_rad``; the prepared ones where they fit."""
         if abs(roll_rad - USUAL_ROLL_RAD) < 1e-6:
             return self.templates
-        return build_templates(self.surface, roll_rad)
+        return build_templates(self.surface.only(self.decides > 0), roll_rad)
 
     @property
     def size(self) -> tuple[Array, Array]:
         """Lowest and highest corner (3,) of the visible surface."""
         return self.surface.points.min(axis=0), self.surface.points.max(axis=0)
+
+
+def _decides(surface: Surface, loose_heights_m: Sequence[float]) -> NDArray[np.bool_]:
+    facing = surface.normals[:, 2] > _FACING
+    return ~(facing & near_any(surface.points[:, 2], loose_heights_m))
 
 
 def default_cache_dir() -> Path:

@@ -120,7 +120,7 @@ def refine(start: Pose, scene: Scene, model: PortModel, *, threads: int = 2) -> 
         final,
         roll_dispute_rad=settled.angle_to(pose),
         distortion=distortion(pose, everything, model, scale),
-        depth_dispute_m=depth_dispute(pose, everything, model.flats, scale, model.loose_heights_m),
+        depth_dispute_m=depth_dispute(pose, everything, model.flats, scale),
     )
 
 
@@ -186,6 +186,7 @@ def _equations(pose: Pose, matches: Matches, model: PortModel, scale: float, gat
     wall = 1.0 - np.abs(matches.normal[:, 2])
     sigma = np.sqrt(scale**2 * (1.0 - wall) + _wall_scale(matches, scale) ** 2 * wall)
     weight = _tukey(matches.distance / sigma, max(_TUKEY, gate / scale)) * taper / sigma**2
+    weight *= model.decides[matches.index]
     edges = edge_rows(matches, model, scale)
     # Least absolute, not least squares: a few false points far beyond an edge must not outvote many just beyond it.
     edge_weight = _tukey(edges.beyond, max(_EDGE_GATE_M, gate))

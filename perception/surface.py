@@ -45,6 +45,10 @@ class Surface:
     def __len__(self) -> int:
         return len(self.points)
 
+    def only(self, these: NDArray[np.bool_]) -> Surface:
+        """Those that a mask (M,) keeps."""
+        return Surface(*(getattr(self, name)[these] for name in self.__slots__))
+
     def thinned(self, spacing_m: float, edge_spacing_m: float) -> Surface:
         """Fewer samples, one for each cell and facing direction; denser near edges and where it may be curved."""
         facing = np.round(self.normals).astype(np.int64) @ np.array([1, 3, 9])
