@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import multiprocessing
-import os
 from collections.abc import Callable, Sequence
-from concurrent.futures import Future, ProcessPoolExecutor, as_completed
+from concurrent.futures import Future, as_completed
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -23,6 +21,7 @@ from perception.evaluation.calibration_trials import (
     hand_eye_trial,
     placing_trials,
 )
+from perception.evaluation.processes import workers
 
 Progress = Callable[[int, int], None]
 
@@ -53,7 +52,7 @@ class Trials:
 def run_trials(runs: int, jobs: int, report: Progress) -> Trials:
     """``runs`` hand-eye calibrations, twice three tenths as many erring cells, four times as many drift charts."""
     seeds, cells = range(runs), range(max(2, 3 * runs // 10))
-    with ProcessPoolExecutor(jobs, multiprocessing.get_context("spawn"), initializer=_one_thread) as pool:
+    with workers(jobs) as pool:
         solved = [pool.submit(_hand_eye_or_none, seed) for seed in seeds]
         arm, everything = ([pool.submit(_placing, seed, all_errors) for seed in cells] for all_errors in (False, True))
         waiting: list[Future[Any]] = [*solved, *arm, *everything]
@@ -65,10 +64,6 @@ def run_trials(runs: int, jobs: int, report: Progress) -> Trials:
             [trial for future in everything for trial in future.result()],
             [drift_trial(seed) for seed in range(4 * runs)],
         )
-
-
-def _one_thread() -> None:
-    os.environ["OMP_NUM_THREADS"] = "1"
 
 
 def _hand_eye_or_none(seed: int) -> HandEyeTrial | None:

@@ -6,10 +6,9 @@ from __future__ import annotations
 
 import json
 import logging
-import multiprocessing
 import os
 from collections.abc import Callable, Mapping
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures import as_completed
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -20,6 +19,7 @@ from perception.evaluation.locate_folder import FolderCase, read_scan
 from perception.evaluation.locate_records import CaseRecord, error_of
 from perception.evaluation.locate_solvers import AUTO, NO_PRIOR, PORTDOCK, Answer, Solver, solver
 from perception.evaluation.locate_unit import prepared, timed
+from perception.evaluation.processes import workers
 from perception.mesh_io import read_mesh
 from perception.port_model import PortModel
 from perception.port_shape import PortShape, build_mesh
@@ -73,10 +73,8 @@ def run(plan: LocatePlan, out: Path, jobs: int, progress: Progress) -> list[Case
     done, total = len(plan.all_cases) - len(tasks), len(plan.all_cases)
     progress(done, total)
     threads = max(1, (os.cpu_count() or 1) // jobs)
-    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
-        os.environ[name] = str(threads)  # of the workers: both sides of every ratio of times have as many
-    context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(jobs, context, _start_worker, (plan.seed, dict(plan.shapes), threads)) as pool:
+    # Both sides of every ratio of times have as many threads.
+    with workers(jobs, threads, _start_worker, (plan.seed, dict(plan.shapes), threads)) as pool:
         for future in as_completed([pool.submit(_work, task) for task in tasks]):
             records.append(path, future.result())
             done += 1

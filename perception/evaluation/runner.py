@@ -10,7 +10,6 @@ import ctypes
 import json
 import logging
 import multiprocessing
-import os
 import signal
 import sys
 from collections.abc import Callable
@@ -22,6 +21,7 @@ from perception.errors import InputError
 from perception.evaluation import records
 from perception.evaluation.merge_run import run_merge_trial
 from perception.evaluation.methods import chosen, method
+from perception.evaluation.processes import workers
 from perception.evaluation.records import MergeRecord, Record, SplitRecord, TrialRecord
 from perception.evaluation.trial_run import Bench, make_bench, run_split_control, run_trial
 from perception.evaluation.trials import ALL_CONDITIONS, COMPLETE, Condition, integrity_condition
@@ -96,10 +96,7 @@ def run(plan: Plan, out: Path, jobs: int, progress: Progress) -> list[Record]:
     total = sum(_weight(task) for task in _all_tasks(plan))
     done = total - sum(_weight(task) for task in tasks)
     progress(done, total)
-    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
-        os.environ[name] = "1"  # one core for each process, so that milliseconds are those of one core
-    context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(jobs, context, _start_worker, (plan.ports,)) as pool:
+    with workers(jobs, 1, _start_worker, (plan.ports,)) as pool:  # one core each: milliseconds are those of one core
         try:
             for future in as_completed([pool.submit(_work, task) for task in tasks]):
                 finished, found = future.result()

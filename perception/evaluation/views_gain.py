@@ -6,10 +6,8 @@ both registered to each other and to the model, with the arm's poses and without
 
 from __future__ import annotations
 
-import multiprocessing
-import os
 from collections.abc import Callable, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures import as_completed
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,6 +15,7 @@ import numpy as np
 from perception.estimate import PortEstimate
 from perception.evaluation.locate_statistics import quantile, share
 from perception.evaluation.locate_views import CALIBRATED, UNCALIBRATED, TwoViews, two_views
+from perception.evaluation.processes import workers
 from perception.locate import locate
 from perception.port_model import PortModel
 from perception.port_shape import PortShape, build_mesh
@@ -68,15 +67,11 @@ def run_pairs(
         for integrity in INTEGRITIES
         for n in range(pairs)
     ]
-    with ProcessPoolExecutor(jobs, multiprocessing.get_context("spawn"), initializer=_one_thread) as pool:
+    with workers(jobs) as pool:
         futures = [pool.submit(_trials, task) for task in tasks]
         for done, _ in enumerate(as_completed(futures), 1):
             report(done, len(futures))
     return [trial for future in futures for trial in future.result()]
-
-
-def _one_thread() -> None:
-    os.environ["OMP_NUM_THREADS"] = "1"
 
 
 _models: dict[str, PortModel] = {}
