@@ -9,7 +9,7 @@ from controller.port_library import has_model, load_model, user_models
 from perception.errors import UnknownPortError
 from perception.mesh_io import MESH_SUFFIXES, read_mesh
 from perception.port_model import PortModel
-from perception.port_shape import build_mesh, loose_heights_m
+from perception.port_solid import build_mesh, loose_heights_m
 
 
 def port_model(name_or_path: str, unit: str = "m") -> PortModel:

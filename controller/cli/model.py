@@ -143,7 +143,7 @@ def build(out: Annotated[Path, typer.Argument(help="folder for the meshes; made 
     from controller.port_files import bundled_ports, load_port
     from controller.port_library import as_stl
     from perception.errors import InputError
-    from perception.port_shape import build_mesh
+    from perception.port_solid import build_mesh
 
     for name in bundled_ports():
         path = out / f"{name}.stl"

@@ -22,7 +22,8 @@ from perception.evaluation.locate_unit import prepared, timed
 from perception.evaluation.processes import workers
 from perception.mesh_io import read_mesh
 from perception.port_model import PortModel
-from perception.port_shape import PortShape, build_mesh
+from perception.port_shape import PortShape
+from perception.port_solid import build_mesh
 
 RESULTS, PLAN = "results.jsonl", "plan.json"
 Progress = Callable[[int, int], None]

@@ -7,7 +7,7 @@ import open3d as o3d
 
 from perception.evaluation.scene import Scene
 from perception.geometry import Array, Pose
-from perception.port_shape import Ints
+from perception.port_solid import Ints
 
 BEAM_RAD = 0.004
 """1 sigma of where in its beam a ray is taken: ranges are of a patch, so edges are not sharp."""

@@ -18,7 +18,8 @@ from perception.evaluation.built import TYPICAL, BuiltTolerance, built_variant, 
 from perception.evaluation.vehicle import Occluder, Pocket, Rng, Side
 from perception.geometry import Array
 from perception.outline import Outline, Point2, outline_bounds
-from perception.port_shape import PARTS, Ints, PortMesh, PortShape, build_parts
+from perception.port_shape import PortShape
+from perception.port_solid import PARTS, Ints, PortMesh, build_parts
 
 Negative = Literal[
     "plain", "empty-pocket", "closed-cover", "dust-cap", "plug-inserted", "other-recess", "mirrored", "no-contacts"

@@ -30,7 +30,8 @@ from perception.evaluation.vehicle import SIDES, Occluder, Rng
 from perception.evaluation.views import FIVE_VIEWS, SimulatedViews, View, simulate_views
 from perception.geometry import Array, Pose
 from perception.outline import outline_bounds
-from perception.port_shape import Ints, PortShape
+from perception.port_shape import PortShape
+from perception.port_solid import Ints
 from perception.scan import Cloud
 
 _OCCLUDERS: tuple[Occluder, ...] = ("cable", "hand", "box")
@@ -56,7 +57,7 @@ class SimulatedScan:
     ray: Ints
     """(N,) number of the ray within its profile."""
     part: Ints
-    """(N,) index into ``port_shape.PARTS``, -1 off the inlet."""
+    """(N,) index into ``port_solid.PARTS``, -1 off the inlet."""
     normals: Array
     """(N, 3) true surface normals in the scanner frame; zero for flying points."""
     noise_m: float

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from perception.evaluation.scene import KINDS, Scene
 from perception.geometry import Array, Pose
-from perception.port_shape import PARTS, Ints
+from perception.port_solid import PARTS, Ints
 from perception.scan import Cloud
 
 Mask = NDArray[np.bool_]

@@ -15,7 +15,8 @@ from perception.evaluation.sensor import Mask, SensorModel, cast_sweep
 from perception.evaluation.vehicle import SIDES, Rng
 from perception.geometry import Array, Pose
 from perception.outline import outline_bounds
-from perception.port_shape import Ints, PortShape
+from perception.port_shape import PortShape
+from perception.port_solid import Ints
 from perception.scan import Cloud
 
 

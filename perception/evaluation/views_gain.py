@@ -18,7 +18,8 @@ from perception.evaluation.locate_views import CALIBRATED, UNCALIBRATED, TwoView
 from perception.evaluation.processes import workers
 from perception.locate import locate
 from perception.port_model import PortModel
-from perception.port_shape import PortShape, build_mesh
+from perception.port_shape import PortShape
+from perception.port_solid import build_mesh
 from perception.scan import merge
 from perception.views_locate import locate_views
 

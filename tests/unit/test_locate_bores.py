@@ -10,7 +10,7 @@ from perception.crop import Scene
 from perception.evidence import judge
 from perception.geometry import Array, Pose
 from perception.port_model import PortModel
-from perception.port_shape import build_mesh
+from perception.port_solid import build_mesh
 
 FACE_Z_M = -0.003
 """The face that GB/T AC's bores open in."""

@@ -18,7 +18,8 @@ from perception.geometry import Array, Pose
 from perception.locate import locate
 from perception.matching import Measured
 from perception.port_model import PortModel
-from perception.port_shape import PortShape, build_mesh, loose_heights_m
+from perception.port_shape import PortShape
+from perception.port_solid import build_mesh, loose_heights_m
 
 SHAPE = load_port("ccs2").shape
 POSE = Pose.from_rotvec([0.1, -0.05, 0.2], [0.01, -0.02, 0.005])

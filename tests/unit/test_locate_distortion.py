@@ -16,7 +16,7 @@ from perception.gate import MAX_LEAN_RAD, MAX_SHEAR_RAD, MAX_STRETCH, MIN_EXPLAI
 from perception.geometry import Pose
 from perception.locate import locate
 from perception.port_model import AcceptanceLimits, PortModel
-from perception.port_shape import build_mesh
+from perception.port_solid import build_mesh
 from perception.scan import Cloud
 
 SHAPES = {name: load_port(name).shape for name in ("ccs2", "type2")}

@@ -8,7 +8,7 @@ from controller.port_files import bundled_ports, load_port
 from controller.port_models import port_model
 from perception.flats import Flats, near_any
 from perception.port_model import PortModel
-from perception.port_shape import build_mesh
+from perception.port_solid import build_mesh
 
 FLANGE_M, BOLT_HOLES_M = -0.0065, -0.0105
 

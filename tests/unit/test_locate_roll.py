@@ -12,7 +12,7 @@ from perception.gate import MAX_ROLL_DISPUTE_RAD, Findings, reasons_against
 from perception.geometry import Pose
 from perception.locate import locate
 from perception.port_model import AcceptanceLimits, PortModel
-from perception.port_shape import build_mesh
+from perception.port_solid import build_mesh
 
 
 def test_a_round_port_whose_walls_pull_it_a_degree_off_is_found() -> None:

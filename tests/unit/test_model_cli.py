@@ -14,7 +14,7 @@ from controller.port_models import port_model
 from perception.errors import DegenerateCloudError, PortdockError, UnknownPortError
 from perception.geometry import Pose
 from perception.mesh_io import read_mesh
-from perception.port_shape import build_mesh
+from perception.port_solid import build_mesh
 from perception.scan_mesh import mesh_from_points
 from perception.surface import sample_mesh
 

@@ -9,20 +9,8 @@ import pytest
 from controller.port_files import bundled_ports, load_port
 from perception.errors import MeshError
 from perception.evaluation.built import TYPICAL, BuiltTolerance, built_variant
-from perception.port_shape import (
-    PARTS,
-    Cavity,
-    Common,
-    Disc,
-    Finish,
-    Hull,
-    PortMesh,
-    PortShape,
-    RoundedRect,
-    build_mesh,
-    build_parts,
-    outline_bounds,
-)
+from perception.port_shape import Cavity, Common, Disc, Finish, Hull, PortShape, RoundedRect, outline_bounds
+from perception.port_solid import PARTS, PortMesh, build_mesh, build_parts
 
 MM = 1e-3
 

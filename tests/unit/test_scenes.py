@@ -35,7 +35,8 @@ from perception.evaluation.scenes import (
     simulate_views,
 )
 from perception.geometry import Array, Pose
-from perception.port_shape import PARTS, PortShape, build_mesh
+from perception.port_shape import PortShape
+from perception.port_solid import PARTS, build_mesh
 
 TYPE2 = load_port("type2").shape
 CCS2 = load_port("ccs2").shape
