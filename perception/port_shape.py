@@ -128,7 +128,7 @@ class PortDescription:
     teach_before_docking: bool
     """True where the contacts are not known to a tenth of a millimetre."""
     fixed_parts: tuple[str, ...] = ("rim", "cavity", "insert", "well", "pin", "key")
-    """Parts of ``port_solid.PARTS`` that the standard fixes; the others vary between makes and must not decide a pose."""
+    """Of ``port_solid.PARTS``: what the standard fixes; the others vary between makes and must not decide the pose."""
 
     @property
     def T_port_tcp(self) -> Pose:
