@@ -148,3 +148,9 @@ def test_a_begun_answer_or_frame_is_kept_and_what_cannot_become_one_is_not() -> 
         parser.abandon_partial()
         parser.feed(b"\x00" * 20, 0)
     assert counts(parser)["bytes"] == counts(parser)["bytes_dropped"]
+
+
+def test_a_parser_that_has_seen_nothing_has_counted_nothing() -> None:
+    assert dict(FrameParser(PLAIN).counters.as_pairs()) == dict.fromkeys(
+        ("bytes", "frames", "bytes_dropped", "bad_checksum", "unconfirmed", "lost", "stale"), 0
+    )
