@@ -144,6 +144,8 @@ class _Fit:
         final: Refined | None = None
         for round_ in which:
             matches = match(pose, measured, self.model, self.threads)
+            if not len(matches.kept):
+                raise DegenerateCloudError("no scan point near the port faces as its surface does")
             scale = _robust_scale(matches.distance, previous=scale)
             equations = _equations(pose, matches, self.model, scale, _gate(round_))
             equations = _with_nuisance(equations, matches, measured, self.scene, self.model)

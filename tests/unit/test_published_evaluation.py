@@ -175,7 +175,7 @@ def test_a_stopped_run_is_taken_up_where_it_stopped(shape, tmp_path, monkeypatch
             future.set_result(work(task))
             return future
 
-    monkeypatch.setattr(runner, "ProcessPoolExecutor", Here)
+    monkeypatch.setattr(runner, "workers", Here)
     plan = runner.full_plan((shape, shape), 1, 2)
     seen = []
     first = runner.run(plan, tmp_path, 1, lambda done, total: seen.append((done, total)))
