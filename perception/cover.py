@@ -111,11 +111,6 @@ def find_cover(cloud: Cloud, estimate: PortEstimate) -> OpenCover | None:
     return found[0] if len({cover.side for cover in found}) == 1 else None
 
 
-def _is_level(plane: Array) -> bool:
-    """Hardly tilted against the port's face."""
-    return bool(np.hypot(plane[0], plane[1]) < _SKIN_SLOPE * abs(plane[2]))
-
-
 def _ends_at_skin(points: Array, others: Array) -> bool:
     """Whether a plane's points (N, 3) end at the height of something wide: a wall that leads up to the skin.
 
@@ -132,7 +127,7 @@ def _is_skin(plane: Array, points: Array) -> bool:
     """Whether a plane is the vehicle's skin around the pocket: hardly tilted, large, and on three sides of the port."""
     x, y = points[:, 0], points[:, 1]
     outside = np.hypot(x, y) > _POCKET_M
-    if not _is_level(plane) or outside.sum() < _PANEL_CELLS:
+    if np.hypot(plane[0], plane[1]) > _SKIN_SLOPE * abs(plane[2]) or outside.sum() < _PANEL_CELLS:
         return False
     wide, far = np.abs(x) >= np.abs(y), outside
     sides = [far & wide & (x > 0), far & wide & (x < 0), far & ~wide & (y > 0), far & ~wide & (y < 0)]
