@@ -1,4 +1,4 @@
-"""Which pose a calibration's next sweep is made from: of those the arm can reach, the one that promises most. Pure."""
+"""Which pose a calibration's next sweep is made from: of those the arm can reach, the one that promises most."""
 
 from __future__ import annotations
 
