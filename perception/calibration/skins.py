@@ -11,6 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from perception.calibration.find_port import EDGE_M
+from perception.calibration.find_sphere import GRAZING_RAD
 from perception.calibration.targets import PlanesTarget, PortTarget, SphereTarget
 from perception.geometry import Array, Pose
 from perception.surface import Surface
@@ -21,10 +23,8 @@ FACE_M, FACE_STEP_M = 0.150, 0.005
 STEEPEST_ON_FACE = 0.2
 """A face has no edge in sight that a slanting ray could blur; beyond 78 deg little comes back."""
 PORT_STEP_M = 0.0015
-EDGE_M = 0.0008
-"""Port samples nearer to an edge are left out, as the solver leaves such points out."""
 SEEN = 0.3
-"""And those that fewer directions see."""
+"""Port samples that a smaller share of directions sees are left out, and near edges, as the solver leaves those out."""
 TIP_M = 0.02
 """A corner stands so far before the expected port's place."""
 
@@ -43,7 +43,7 @@ class Skin:
     """(N,) that each sample stands for."""
     part: NDArray[np.int64]
     """(N,) number of the part that each is on; a sweep is to meet all parts."""
-    steepest: float = 0.42
+    steepest: float = float(np.cos(GRAZING_RAD))
     """Cosine of the steepest incidence at which ranges are of use."""
 
 

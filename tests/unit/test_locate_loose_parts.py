@@ -1,4 +1,4 @@
-"""What the standard leaves to the makers (flange, floors) helps to find a port, and decides nothing."""
+"""What the standard leaves to the makers (flange, floors) decides nothing about a type2 or ccs2."""
 
 from __future__ import annotations
 
