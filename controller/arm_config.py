@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
+import numpy as np
 from pydantic import Field
 
 from controller.config_section import PoseConfig, Section, Vector3
+from perception.geometry import Array
 
 Size = Annotated[float, Field(gt=0, le=10_000)]
 Angle = Annotated[float, Field(ge=-360, le=360)]
@@ -26,6 +28,47 @@ class BoxConfig(Section):
     """True for what the plug is meant to meet."""
 
 
+LengthError = Annotated[float, Field(ge=-2, le=2)]
+ZeroError = Annotated[float, Field(ge=-0.2, le=0.2)]
+Six = tuple[float, float, float, float, float, float]
+
+
+class ArmErrorsConfig(Section):
+    """What the arm does not know of itself. A hand-eye calibration estimates it, as far as its sweeps tell.
+
+    True less believed, in the order of the joints; Denavit-Hartenberg lengths as the maker publishes them.
+    """
+
+    a_mm: tuple[LengthError, LengthError, LengthError, LengthError, LengthError, LengthError] = (0.0,) * 6
+    """Lengths along the links."""
+    d_mm: tuple[LengthError, LengthError, LengthError, LengthError, LengthError, LengthError] = (0.0,) * 6
+    """Lengths along the joints' axes."""
+    zeros_deg: tuple[ZeroError, ZeroError, ZeroError, ZeroError, ZeroError, ZeroError] = (0.0,) * 6
+    """True joint angles less those that the arm reports."""
+    compliance_urad_per_nm: Annotated[float, Field(ge=-50, le=50)] = 0.0
+    """How far each joint gives under the weight that it carries."""
+
+    @staticmethod
+    def of(errors: Array) -> ArmErrorsConfig:
+        """From (19,) in SI, in the order of ``perception.calibration.arm_errors``."""
+        a_mm, d_mm, zeros_deg = (_six(v) for v in (1e3 * errors[:6], 1e3 * errors[6:12], np.rad2deg(errors[12:18])))
+        return ArmErrorsConfig(
+            a_mm=a_mm, d_mm=d_mm, zeros_deg=zeros_deg, compliance_urad_per_nm=1e6 * float(errors[18])
+        )
+
+    @property
+    def errors(self) -> Array | None:
+        """(19,) in SI; None where all are zero."""
+        lengths_m, zeros_rad = 1e-3 * np.array([*self.a_mm, *self.d_mm]), np.deg2rad(self.zeros_deg)
+        errors = np.concatenate([lengths_m, zeros_rad, [1e-6 * self.compliance_urad_per_nm]])
+        return errors if errors.any() else None
+
+
+def _six(values: Array) -> Six:
+    a, b, c, d, e, f = (float(value) for value in values)
+    return a, b, c, d, e, f
+
+
 class ArmConfig(Section):
     """The Universal Robots arm."""
 
@@ -35,6 +78,8 @@ class ArmConfig(Section):
     """Address of the robot controller."""
     serial: str | None = None
     """Serial number that the robot must have. None: any."""
+    errors: ArmErrorsConfig = ArmErrorsConfig()
+    """Zero: the arm is taken at its word. A hand-eye calibration's errors take the place of these."""
     T_flange_tcp: PoseConfig = PoseConfig()
     """The plug's frame at the flange: origin on the plug's foremost face, z into the port, x along the port's x."""
     payload_kg: Annotated[float, Field(ge=0, le=30)] = 3.0

@@ -21,6 +21,7 @@ from drivers.arm.approach import why_not
 from drivers.arm.kinematics import JointLimits
 from drivers.arm.played_links import PlayedLinks, Window
 from drivers.arm.settings import UrSettings, Workspace
+from drivers.arm.true_pose import error_jacobians
 from drivers.arm.ur import UrArm
 from drivers.base import Arm, Box, ByteSink, Car, Charger, Clock, Direction, MonotonicClock, NullSink, Scanner
 from drivers.charger.can_charger import CanCharger
@@ -38,6 +39,7 @@ from drivers.scanner.played_scanners import PlayedProfiler2, PlayedScanner, Play
 from drivers.scanner.profiler2 import Profiler2, Profiler2Settings
 from drivers.scanner.scip import ScipScanner, ScipSettings
 from drivers.scanner.serial_link import SerialSettings
+from perception.geometry import Array, Pose
 from perception.port_shape import PortDescription
 
 
@@ -168,6 +170,7 @@ def _arm_settings(config: SiteConfig) -> UrSettings:
         plug_radius_m=arm.plug_radius_mm / 1000.0,
         plug_length_m=arm.plug_length_mm / 1000.0,
         least_clearance_m=arm.least_clearance_mm / 1000.0,
+        errors=arm.errors.errors,
     )
 
 
@@ -235,6 +238,11 @@ def reach_check(config: SiteConfig, arm: Arm) -> ReachCheck:
     """
     settings = _arm_settings(config)
     return lambda T_base_tcp: why_not(T_base_tcp, arm.state(), settings, arm.obstacles)
+
+
+def arm_error_jacobians(config: SiteConfig, T_base_flange: tuple[Pose, ...], near: Array) -> Array:
+    """(K, 6, 19) how errors of the arm would move its flange at K poses, near joints (6,). Raises ValueError."""
+    return error_jacobians(_arm_settings(config), T_base_flange, near)
 
 
 def _metres(values_mm: tuple[float, float, float]) -> tuple[float, float, float]:

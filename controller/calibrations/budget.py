@@ -18,13 +18,17 @@ LOCATOR_MM = 0.05
 ARM_MM = 0.5
 """Of an arm that was not calibrated itself, over its reach; assumed."""
 ARM_NEAR_MM = 0.1
-"""What of it differs between the taught place and a car that stands elsewhere; assumed."""
+"""What of it differs between the taught place and a car that stands elsewhere, or between scanning and docking with an
+arm whose errors were estimated; assumed."""
 HAND_EYE_MM = 0.7
 """Of a scanner that was mounted by measure and not calibrated by sweeps; assumed."""
 TOOL_MM = 0.2
 """Of a tool frame from its drawing; assumed."""
 TURN_DEG = 0.3
 """1 sigma, each axis, of a rotation that the site file or a port's description says; assumed."""
+LOCATED_SIGMA = "located_sigma_mm"
+"""Residual of a hand-eye calibration that estimated the arm's errors: 1 sigma of a port's place, arm and mounting
+together."""
 OWN_SIGMA = "own_sigma_mm"
 """Residual of a tool found by mating: its 1 sigma without the hand-eye calibration's part."""
 
@@ -47,7 +51,7 @@ def parts(calibrations: Mapping[str, Calibration], standoff_mm: float) -> tuple[
     return (
         Part("locator", LOCATOR_MM, LOCATOR_MM, "evaluate locate"),
         _hand_eye_part(hand_eye, tool, standoff_mm),
-        Part("arm", ARM_MM, ARM_NEAR_MM, "assumed"),
+        Part("arm", ARM_MM if hand_eye is None or hand_eye.arm_errors is None else ARM_NEAR_MM, ARM_NEAR_MM, "assumed"),
         _tool_part(tool),
         Part("teaching", 0.0, teaching_mm, "not taught" if taught is None else "its spread"),
     )
@@ -59,6 +63,8 @@ def _hand_eye_part(hand_eye: Calibration | None, tool: Calibration | None, stand
         return Part("hand-eye", 0.0, 0.0, "in the tool that was found with it")
     if hand_eye is None:
         return Part("hand-eye", HAND_EYE_MM, 0.0, "assumed")
+    if (located_mm := dict(hand_eye.residuals).get(LOCATED_SIGMA)) is not None:
+        return Part("hand-eye", located_mm, 0.0, "its covariance, the arm's where it scans too")
     return Part("hand-eye", at_lever_mm(hand_eye, standoff_mm), 0.0, "its covariance")
 
 

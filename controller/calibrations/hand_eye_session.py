@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from controller.arm_config import ArmErrorsConfig
 from controller.assembly import assemble
 from controller.calibrations.port_sweeps import expected_skin, placed, solved
 from controller.calibrations.pose_choice import Aim, PoseChoice
@@ -23,10 +24,12 @@ from controller.config import SiteConfig
 from controller.sweep import SweepError
 from controller.sweeping import ProgressReport
 from controller.unrecorded import Unrecorded
+from controller.wiring import arm_error_jacobians
+from perception.calibration.arm_fit import ArmFit, fit_arm
 from perception.calibration.errors import CalibrationError
 from perception.calibration.foresight import Expected, Foreseen, covariance_after, spread
 from perception.calibration.from_sweeps import Solved, TargetKind, checked, sphere_place
-from perception.calibration.hand_eye import Asked
+from perception.calibration.hand_eye import Asked, HandEye
 from perception.calibration.sightings import Mounting
 from perception.calibration.targets import PortTarget
 from perception.geometry import Array, Pose
@@ -52,6 +55,8 @@ class Wanted:
     sigma_m: float = 0.0002
     sigma_rad: float = float(np.deg2rad(0.06))
     max_sweeps: int = 14
+    ideal_arm: bool = False
+    """Take the arm at its word: its own errors are not estimated."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -59,11 +64,21 @@ class Calibrated:
     """A solved and checked calibration."""
 
     solved: Solved
+    """With the arm taken at its word."""
+    arm: ArmFit | None
+    """The same and the arm's own errors, if these were asked for."""
+    located_sigma_m: float | None
+    """What that leaves uncertain of the place of a port that is seen square on where the target is."""
     left_out_m: Array
     """(S,) how far each sweep shows the target from where all others foretell it."""
     sweeps: int
     time_scale: float
     """Device seconds per second of the solution's time offset."""
+
+    @property
+    def hand_eye(self) -> HandEye:
+        """The mounting that counts."""
+        return self.solved.hand_eye if self.arm is None else self.arm.hand_eye
 
 
 def calibrate_hand_eye(
@@ -76,6 +91,8 @@ def calibrate_hand_eye(
     heartbeat_mode: int = 3,
 ) -> Calibrated:
     """Sweep, solve, check. Raises CalibrationError, MissionFault, SweepError, LinkOpenError; nothing is stored."""
+    arm = config.arm.model_copy(update={"errors": ArmErrorsConfig()})  # what is estimated is not corrected for
+    config = config.model_copy(update={"arm": arm})
     with ExitStack() as closing:
         cell = assemble(config, Unrecorded(), closing, pace=pace, heartbeat_mode=heartbeat_mode).cell
         thinker = Thinker()
@@ -116,6 +133,8 @@ class _Calibrating:
         self._mounting = Mounting(config.scanner.T_flange_scanner.pose)
         self._T_base_target = config.port.T_base_port.pose
         self._scans: list[Scan] = []
+        self._by_arm: list[Array] = []
+        """For each sweep (2, 6, 19): how errors of the arm move its ends."""
         self._choice = PoseChoice(config, wanted.asked, cell.reach)
         self._solved: Solved | None = None
         self._aim = self._aimed()
@@ -129,7 +148,16 @@ class _Calibrating:
         assert found is not None, "it is enough only with a solution"
         left_out_m = self._thinker.ask(self._cell, checked, found, self._wanted.asked)
         shared = self._config.scanner.sync in ("shared_clock", "trigger")
-        return Calibrated(found, left_out_m, len(self._scans), 1.0 if shared else self._cell.time_scale)
+        arm, located_m = (None, None) if self._wanted.ideal_arm else self._arm(found)
+        scale = 1.0 if shared else self._cell.time_scale
+        return Calibrated(found, arm, located_m, left_out_m, len(self._scans), scale)
+
+    def _arm(self, found: Solved) -> tuple[ArmFit, float]:
+        """The arm's own errors, and what the first sweep's pose would leave uncertain of a port."""
+        fit = self._thinker.ask(self._cell, fit_arm, found.seen, found.hand_eye, self._by_arm, self._wanted.asked)
+        T_base_flange = self._scans[0].T_base_flange[len(self._scans[0].T_base_flange) // 2]
+        place = T_base_flange.inverse().apply(self._T_base_target.translation[None])[0]
+        return fit, fit.located_sigma_m(self._by_arm[0].mean(axis=0), place)
 
     def plan(self) -> list[Planned]:
         """Poses one by one until the prediction is good enough, or no more may be added."""
@@ -157,6 +185,7 @@ class _Calibrating:
                 self._look_at(self._place())
             except CalibrationError as error:
                 self._scans.pop()
+                self._by_arm.pop()
                 problem = problem or error
                 continue
             return
@@ -182,6 +211,8 @@ class _Calibrating:
         else:
             raise SweepError(f"{SPOILED} sweeps from one pose could not be used")
         self._scans.append(scan)
+        ends = scan.T_base_flange[0], scan.T_base_flange[-1]
+        self._by_arm.append(arm_error_jacobians(self._config, ends, self._cell.arm.state().joints))
         self._note(
             f"sweep {len(self._scans)}: pitch {view.pitch_deg:+.0f} yaw {view.yaw_deg:+.0f} roll {view.roll_deg:+.0f}"
             f" deg, {self._config.scan.standoff_mm - view.nearer_mm:.0f} mm off"

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 
+from controller.arm_config import ArmErrorsConfig
 from controller.calibrations.record import Calibration, CalibrationFileError, DeviceNames, Kind, basis, fits_basis
 from controller.calibrations.store import CalibrationStore
 from controller.config import SiteConfig
@@ -45,7 +46,9 @@ def basis_of(config: SiteConfig) -> str:
     port's taught pose. Docks at one port that are judged together share all three, docks at several the first two.
     """
     port = config.port.T_port_tcp
-    cell = _mark([config.scanner.T_flange_scanner.model_dump(), config.arm.T_flange_tcp.model_dump()])
+    arm = config.arm
+    geometry = [config.scanner.T_flange_scanner.model_dump(), arm.T_flange_tcp.model_dump()]
+    cell = _mark(geometry if arm.errors.errors is None else [*geometry, arm.errors.model_dump()])
     taught = _mark([None if port is None else port.model_dump()])
     return f"{config.scanner.serial or config.arm.serial or config.arm.host} {cell} {taught}"
 
@@ -141,6 +144,9 @@ def with_calibrations(config: SiteConfig, calibrations: Iterable[Calibration]) -
                 latency_ms = config.scanner.latency_ms if one.latency_ms is None else one.latency_ms
                 update = {"T_flange_scanner": pose, "latency_ms": latency_ms}
                 config = config.model_copy(update={"scanner": config.scanner.model_copy(update=update)})
+                if one.arm_errors is not None:
+                    errors = {"errors": ArmErrorsConfig.of(one.arm_errors)}
+                    config = config.model_copy(update={"arm": config.arm.model_copy(update=errors)})
             case "tool":
                 config = config.model_copy(update={"arm": config.arm.model_copy(update={"T_flange_tcp": pose})})
             case "port":

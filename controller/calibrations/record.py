@@ -55,6 +55,9 @@ class Calibration:
     """Only of kind ``port``: the port type."""
     latency_ms: float | None = None
     """Only of kind ``hand-eye``: ``scanner.latency_ms`` that goes with it."""
+    arm_errors: Array | None = None
+    """Only of kind ``hand-eye``: (19,) what the arm does not know of itself (``perception.calibration.arm_errors``);
+    None: it was taken at its word."""
     made_with: str | None = None
     """Of kind ``port`` and of a tool that was found by mating: which hand-eye and tool calibrations were in force
     (``basis``). What is measured so cancels their errors, and no others."""
@@ -131,7 +134,9 @@ def from_yaml(text: str, where: str) -> Calibration:
 
 
 def _values(c: Calibration) -> dict[str, Any]:
-    more = {"corrects": list(c.corrects)} if c.corrects else {}
+    more: dict[str, Any] = {"corrects": list(c.corrects)} if c.corrects else {}
+    if c.arm_errors is not None:
+        more["arm_errors"] = _errors_values(c.arm_errors)
     return more | {
         "kind": c.kind,
         "port": c.port,
@@ -159,7 +164,7 @@ def _calibration(values: dict[str, Any]) -> Calibration:
     covariance = np.asarray(values["covariance_m_rad"], dtype=np.float64)
     if covariance.shape != (6, 6) or not np.isfinite(covariance).all():
         raise ValueError("the covariance is not 6 by 6 finite numbers")
-    xyz_mm, rotvec_deg = (_three(values["pose"][key]) for key in ("xyz_mm", "rotvec_deg"))
+    xyz_mm, rotvec_deg = (_finite_ones(values["pose"][key], 3) for key in ("xyz_mm", "rotvec_deg"))
     latency_ms = values["latency_ms"]
     return Calibration(
         kind=kind,
@@ -170,16 +175,31 @@ def _calibration(values: dict[str, Any]) -> Calibration:
         residuals=tuple((str(name), float(value)) for name, value in values["residuals"].items()),
         port=values["port"],
         latency_ms=None if latency_ms is None else _finite(latency_ms),
+        arm_errors=None if "arm_errors" not in values else _errors(values["arm_errors"]),
         made_with=values["made_with"],
         versions=tuple((str(name), str(version)) for name, version in values["versions"].items()),
         corrects=tuple(str(mark) for mark in values.get("corrects", ())),
     )
 
 
-def _three(values: Any) -> Array:
+def _errors_values(errors: Array) -> dict[str, Any]:
+    in_units = np.concatenate([1e3 * errors[:12], np.rad2deg(errors[12:18]), 1e6 * errors[18:]])
+    values = [round(float(value), 6) for value in in_units]
+    return dict(zip(_ERRORS, (values[:6], values[6:12], values[12:18], values[18]), strict=True))
+
+
+_ERRORS = ("a_mm", "d_mm", "zeros_deg", "compliance_urad_per_nm")
+
+
+def _errors(values: dict[str, Any]) -> Array:
+    a_mm, d_mm, zeros_deg = (_finite_ones(values[name], 6) for name in _ERRORS[:3])
+    return np.concatenate([1e-3 * a_mm, 1e-3 * d_mm, np.deg2rad(zeros_deg), [1e-6 * _finite(values[_ERRORS[3]])]])
+
+
+def _finite_ones(values: Any, count: int) -> Array:
     array = np.asarray(values, dtype=np.float64)
-    if array.shape != (3,) or not np.isfinite(array).all():
-        raise ValueError("three finite numbers are wanted in a pose")
+    if array.shape != (count,) or not np.isfinite(array).all():
+        raise ValueError(f"{count} finite numbers are wanted, not {values!r}")
     return array
 
 

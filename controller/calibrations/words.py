@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from controller.calibrations.record import Calibration
-from perception.geometry import Pose
+from perception.geometry import Array, Pose
 
 _NAMES = {"hand-eye": "T_flange_scanner", "tool": "T_flange_tcp", "port": "T_port_tcp"}
 
@@ -22,6 +22,8 @@ def described(one: Calibration, path: Path, now: datetime) -> Iterator[str]:
     yield f"  1 sigma: {one.sigma_mm:.3f} mm, {one.sigma_deg:.3f} deg"
     if one.latency_ms is not None:
         yield f"  latency_ms: {one.latency_ms:.2f}"
+    if one.arm_errors is not None:
+        yield f"  the arm: {arm_words(one.arm_errors)}"
     if one.made_with is not None:
         yield f"  made with: {one.made_with}"
     for name, value in one.residuals:
@@ -33,6 +35,15 @@ def pose_words(pose: Pose) -> str:
     place = " ".join(f"{1e3 * v:.3f}" for v in pose.translation)
     turn = " ".join(f"{v:.4f}" for v in np.rad2deg(pose.rotvec))
     return f"{place} mm, rotation vector {turn} deg"
+
+
+def arm_words(errors: Array) -> str:
+    """The largest of an arm's errors (19,)."""
+    lengths_mm, zeros_deg = 1e3 * np.abs(errors[:12]).max(), np.rad2deg(np.abs(errors[12:18]).max())
+    return (
+        f"lengths up to {lengths_mm:.2f} mm, zeros up to {zeros_deg:.3f} deg off,"
+        f" joints give {1e6 * errors[18]:.1f} urad/Nm"
+    )
 
 
 def compared(old: Calibration, new: Calibration) -> Iterator[str]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import enum
+from collections.abc import Iterator
 from contextlib import ExitStack
 from dataclasses import replace
 from datetime import UTC, datetime
@@ -12,10 +13,11 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import numpy as np
 import typer
 
+from controller.calibrations.budget import LOCATED_SIGMA
 from controller.calibrations.in_force import device_names, mock_names
 from controller.calibrations.record import Calibration, DeviceNames, versions_here
 from controller.calibrations.store import CalibrationStore
-from controller.calibrations.words import compared, pose_words
+from controller.calibrations.words import arm_words, compared, pose_words
 from controller.cli.dry_run import FAST_FACTOR, for_mocks
 from controller.cli.scan import ConfigOption, ErrorsOption, FastOption, MockOption, SeedOption, show_quarters
 from controller.config import SiteConfig, load_config
@@ -45,6 +47,9 @@ def hand_eye(
     sigma_mm: Annotated[float, typer.Option(min=0.01, max=5, help="Sweep until the position is this certain.")] = 0.2,
     sigma_deg: Annotated[float, typer.Option(min=0.005, max=2, help="And the rotation so.")] = 0.06,
     max_sweeps: Annotated[int, typer.Option(min=8, max=36)] = 20,
+    ideal_arm: Annotated[
+        bool, typer.Option("--ideal-arm", help="Take the arm at its word; else its own errors are estimated too.")
+    ] = False,
     config: ConfigOption = None,
     mock: MockOption = False,
     seed: SeedOption = 0,
@@ -61,7 +66,7 @@ def hand_eye(
     kind = TargetKind(target.value, diameter_mm / 2000.0, site.port.model)
     sigma_rad = float(np.deg2rad(sigma_deg))
     asked = Asked(time_offset=site.scanner.sync != "stop_and_go", speed_scale=speed_scale)
-    wanted = Wanted(kind, asked, sigma_mm / 1e3, sigma_rad, max_sweeps)
+    wanted = Wanted(kind, asked, sigma_mm / 1e3, sigma_rad, max_sweeps, ideal_arm)
     with ExitStack() as closing:
         truth_mm = diameter_mm if mock_diameter_mm is None else mock_diameter_mm
         cell = (site, 1.0) if not mock else _mock(closing, site, seed, scenario, target, truth_mm, fast)
@@ -123,7 +128,7 @@ def _store(found: Calibrated, site: SiteConfig, devices: DeviceNames) -> None:
     """Write the file, the picture beside it, and say what came out."""
     from controller.calibrations.pictures import residual_picture
 
-    solved = found.solved.hand_eye
+    solved = found.hand_eye
     offset_ms = 1e3 * solved.mounting.time_offset_s * found.time_scale
     off = site.scanner.T_flange_scanner.pose
     new = solved.mounting.T_flange_scanner
@@ -142,8 +147,10 @@ def _store(found: Calibrated, site: SiteConfig, devices: DeviceNames) -> None:
             ("time_offset_ms", offset_ms),
             ("time_offset_sigma_ms", 1e3 * float(np.sqrt(solved.covariance[6, 6])) * found.time_scale),
             ("speed_scale", solved.mounting.speed_scale),
+            *_arm_residuals(found),
         ),
         latency_ms=site.scanner.latency_ms - offset_ms,
+        arm_errors=None if found.arm is None else found.arm.errors,
         versions=versions_here(),
     )
     store = CalibrationStore(Path(site.calibration.folder))
@@ -155,6 +162,9 @@ def _store(found: Calibrated, site: SiteConfig, devices: DeviceNames) -> None:
     typer.echo(f"  {1e3 * off.distance_to(new):.1f} mm and {turned_deg:.2f} deg off what the site file says")
     typer.echo(f"1 sigma: {one.sigma_mm:.3f} mm, {one.sigma_deg:.4f} deg; latency_ms {one.latency_ms:.2f}")
     residuals = dict(one.residuals)
+    if one.arm_errors is not None:
+        typer.echo(f"the arm: {arm_words(one.arm_errors)}")
+        typer.echo(f"  a port seen square on here is located to {residuals[LOCATED_SIGMA]:.2f} mm (1 sigma)")
     typer.echo(
         f"{found.sweeps} sweeps, residuals {residuals['rms_mm']:.3f} mm rms;"
         f" a sweep left out is foretold within {residuals['left_out_max_mm']:.2f} mm"
@@ -163,6 +173,12 @@ def _store(found: Calibrated, site: SiteConfig, devices: DeviceNames) -> None:
         for line in compared(before, one):
             typer.echo(f"against the one before: {line}")
     typer.echo(f"in force: {path}")
+
+
+def _arm_residuals(found: Calibrated) -> Iterator[tuple[str, float]]:
+    if found.arm is not None and found.located_sigma_m is not None:
+        yield "sweep_shift_mm", 1e3 * found.arm.shift_m
+        yield LOCATED_SIGMA, 1e3 * found.located_sigma_m
 
 
 def _readable(store: CalibrationStore) -> Calibration | None:

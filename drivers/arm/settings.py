@@ -83,6 +83,8 @@ class UrSettings:
     """The plug: the last part of the tool before the TCP, as a narrower capsule."""
     least_clearance_m: float = 0.0
     """Between capsules that are generous already."""
+    errors: Array | None = None
+    """(19,) what the arm does not know of itself (``perception.calibration.arm_errors``); None: taken at its word."""
 
     def __post_init__(self) -> None:
         if self.model not in MODELS:

@@ -76,7 +76,7 @@ def solve(
         raise CalibrationError(f"{len(seen)} points lie on the target: too few")
     mounting, target, scale_m = fitted(seen, target, guess, chosen, start_scale_m)
     distances = target.distances(seen.in_base(mounting))
-    weights = _weights(distances.residual, scale_m)
+    weights = biweight(distances.residual, scale_m)
     jacobian = np.column_stack([mounting_jacobian(seen, mounting, distances)[:, chosen], distances.own])
     refuse_undetermined(jacobian, weights, chosen)
     estimated = np.flatnonzero(chosen)
@@ -99,9 +99,9 @@ def fitted(
         for _ in range(ROUNDS_A_SCALE):
             distances = target.distances(seen.in_base(mounting))
             jacobian = np.column_stack([mounting_jacobian(seen, mounting, distances)[:, chosen], distances.own])
-            weights = _weights(distances.residual, scale_m)
+            weights = biweight(distances.residual, scale_m)
             step = _step(jacobian, distances.residual, weights)
-            mounting = _moved(mounting, step[: chosen.sum()], chosen)
+            mounting = moved(mounting, step[: chosen.sum()], chosen)
             target = target.moved(step[chosen.sum() :])
             if np.abs(step).max() < SMALL_STEP:
                 break
@@ -128,7 +128,8 @@ def mounting_jacobian(seen: Sightings, mounting: Mounting, distances: Distances)
     )
 
 
-def _moved(mounting: Mounting, step: Array, chosen: NDArray[np.bool_]) -> Mounting:
+def moved(mounting: Mounting, step: Array, chosen: NDArray[np.bool_]) -> Mounting:
+    """With its chosen parameters (8,) changed by ``step``."""
     full = np.zeros(8)
     full[chosen] = step
     turned = mounting.T_flange_scanner @ exp([0.0, 0.0, 0.0, *full[3:6]])
@@ -136,7 +137,7 @@ def _moved(mounting: Mounting, step: Array, chosen: NDArray[np.bool_]) -> Mounti
     return Mounting(moved, mounting.time_offset_s + float(full[6]), mounting.speed_scale + float(full[7]))
 
 
-def _weights(residual: Array, scale_m: float) -> Array:
+def biweight(residual: Array, scale_m: float) -> Array:
     """Tukey's biweight (N,)."""
     return np.clip(1.0 - (residual / (3.0 * scale_m)) ** 2, 0.0, None) ** 2
 

@@ -24,7 +24,7 @@ PROFILES, RAYS = 60, 120
 SWEEP_M, SPEED_M_S = 0.12, 0.03
 HALF_FAN = 0.17
 COMPLIANCE_RAD_PER_NM, TIME_OFFSET_S = 3e-6, 0.005
-"""Of joints under weight, half as much or half as much again; and the greatest offset of the scanner's clock."""
+"""Of joints under weight, each half as much to half as much again; and the greatest offset of the scanner's clock."""
 G_M_S2 = 9.81
 MASSES_KG = np.array([7.4, 13.1, 4.0, 2.1, 2.0, 0.6, 3.0])
 """Of a UR10e's links; plug and scanner."""
@@ -56,27 +56,28 @@ class Chain:
 
     def flange(self, joints: Array) -> Pose:
         """T_base_flange at joints (6,)."""
-        return Pose.from_matrix(self._frames(joints)[-1])
+        return Pose.from_matrix(self.frames(joints)[6])
 
     def torques(self, joints: Array) -> Array:
         """(6,) Nm that gravity puts on the joints (6,): links as masses in their middles, the load at the end."""
-        frames = np.stack([np.eye(4), *self._frames(joints)])
+        frames = self.frames(joints)
         origins, axes = frames[:, :3, 3], frames[:6, :3, 2]
         masses = np.vstack([0.5 * (origins[:-1] + origins[1:]), origins[-1:]])
         arms = masses[None] - origins[:6, None]
         moments = np.einsum("ji,jki->jk", axes, np.cross(arms, [0.0, 0.0, -G_M_S2])) * MASSES_KG
         return np.asarray(np.triu(moments).sum(axis=1))  # a joint carries what comes after it
 
-    def _frames(self, joints: Array) -> list[Array]:
-        """Each link's frame in the base, six of (4, 4)."""
-        matrix, frames = np.eye(4), []
+    def frames(self, joints: Array) -> Array:
+        """(7, 4, 4): the base, then each link's frame in it."""
+        matrix = np.eye(4)
+        frames = [matrix]
         for (a, alpha, d, offset), angle in zip(self.rows, joints, strict=True):
             c, s, ca, sa = np.cos(angle + offset), np.sin(angle + offset), np.cos(alpha), np.sin(alpha)
             matrix = matrix @ np.array(
                 [[c, -s * ca, s * sa, a * c], [s, c * ca, -c * sa, a * s], [0.0, sa, ca, d], [0.0, 0.0, 0.0, 1.0]]
             )
             frames.append(matrix)
-        return frames
+        return np.stack(frames)
 
     def joints_for(self, T_base_flange: Pose, near: Array) -> Array:
         """Joints (6,) that bring the flange there, from a start on the right branch. Raises ValueError out of reach."""
@@ -98,8 +99,8 @@ class TrueCell:
     T_flange_scanner: Pose
     T_flange_tcp: Pose
     noise_m: float = 1e-4
-    compliance_rad_per_nm: float = 0.0
-    """How far each joint gives under weight."""
+    compliance_rad_per_nm: float | Array = 0.0
+    """How far all joints, or each (6,), give under weight."""
     time_offset_s: float = 0.0
     """A profile is measured so much later than its time stamp says."""
 
@@ -158,7 +159,7 @@ def draw_cell(rng: np.random.Generator, joint_rad: float = 0.0, link_m: float = 
 
 def with_all_errors(cell: TrueCell, rng: np.random.Generator) -> TrueCell:
     """The cell with an arm that hangs under its weight and a scanner whose clock is off, too."""
-    give, late_s = COMPLIANCE_RAD_PER_NM * rng.uniform(0.5, 1.5), rng.uniform(-TIME_OFFSET_S, TIME_OFFSET_S)
+    give, late_s = COMPLIANCE_RAD_PER_NM * rng.uniform(0.5, 1.5, 6), rng.uniform(-TIME_OFFSET_S, TIME_OFFSET_S)
     return replace(cell, compliance_rad_per_nm=give, time_offset_s=late_s)
 
 

@@ -8,24 +8,26 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from perception.calibration.drift import ChartSettings, Dock, chart
-from perception.calibration.find_sphere import find_sphere
-from perception.calibration.hand_eye import Asked, HandEye, solve
-from perception.calibration.sightings import Mounting, sightings
 from perception.calibration.teaching import teach
 from perception.evaluation.calibration_cells import (
     JOINT_RAD,
     LINK_M,
-    RADIUS_M,
     SPEED_M_S,
     TrueCell,
     draw_cell,
-    draw_guess,
     with_all_errors,
+)
+from perception.evaluation.calibration_controller import (
+    CENTRE,
+    T_FLANGE_TCP,
+    T_PORT_TCP,
+    Known,
+    calibrated,
+    calibrated_with_arm,
+    square_on,
 )
 from perception.geometry import Array, Pose, exp
 
-CENTRE = np.array([0.9, 0.1, 0.45])
-SWEEPS = 10
 CHI2_6_95 = 12.592
 """95 % quantile of chi square with six degrees of freedom."""
 LOCATOR_M, LOCATOR_RAD = 0.00005, float(np.deg2rad(0.03))
@@ -34,7 +36,6 @@ CAR_M, CAR_RAD = 0.100, float(np.deg2rad(10.0))
 """How far the car stands from where the port was taught, each axis."""
 CARS = 10
 """Car positions for each cell."""
-T_PORT_TCP = Pose(np.diag([1.0, -1.0, -1.0]), np.array([0.0, 0.0, -0.04]))
 MATED_M, MATED_RAD = 0.00005, float(np.deg2rad(0.02))
 """1 sigma of how a plug sits in its port, from dock to dock."""
 
@@ -68,6 +69,10 @@ class PlacingTrial:
     """One car at one cell whose arm errs: after hand-eye calibration, and after teaching on top."""
 
     located_mm: float
+    stated_mm: float
+    """1 sigma of that, as the calibration states it."""
+    located_ideal_mm: float
+    """The same by a calibration that takes the arm at its word."""
     untaught: Placed
     taught: Placed
 
@@ -91,30 +96,25 @@ def placing_trials(seed: int, everything: bool = False) -> list[PlacingTrial]:
     cell = draw_cell(rng, JOINT_RAD, LINK_M)
     if everything:
         cell = with_all_errors(cell, rng)
-    mounting = calibrated(cell, rng).mounting
+    known = calibrated_with_arm(cell, rng)
     home = Pose(_PORT_AXES, CENTRE)
     views = [np.zeros(3), np.deg2rad([12.0, 0.0, 0.0]), np.zeros(3)]
-    scans = [located(cell, home, mounting, view, rng) for view in views]
-    taught = teach(scans, told_when_mated(cell, home, rng)).T_port_tcp
+    scans = [located(cell, home, known, view, rng) for view in views]
+    taught = teach(scans, known.tcp(told_when_mated(cell, home, rng))).T_port_tcp
     trials = []
     for _ in range(CARS):
         moved = Pose.from_rotvec(rng.uniform(-CAR_RAD, CAR_RAD, 3), rng.uniform(-CAR_M, CAR_M, 3))
         T_base_port = Pose(home.rotation @ moved.rotation, home.translation + moved.translation)
-        seen = located(cell, T_base_port, mounting, np.zeros(3), rng)
-        placed = [plug_placed(cell, T_base_port, seen @ T_port_tcp) for T_port_tcp in (T_PORT_TCP, taught)]
-        trials.append(PlacingTrial(1e3 * seen.distance_to(T_base_port), *placed))
+        seen = located(cell, T_base_port, known, np.zeros(3), rng)
+        ideal = located(cell, T_base_port, known.ideal, np.zeros(3), rng)
+        placed = [plug_placed(cell, T_base_port, known.told(seen @ mated)) for mated in (T_PORT_TCP, taught)]
+        off_mm, ideal_mm = (1e3 * one.distance_to(T_base_port) for one in (seen, ideal))
+        trials.append(PlacingTrial(off_mm, 1e3 * known.located_sigma_m(T_base_port), ideal_mm, *placed))
     return trials
 
 
 _PORT_AXES = np.array([[0.0, 0.0, -1.0], [-1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
 """A port that looks at the robot: z along the base's -x, y up."""
-
-
-def calibrated(cell: TrueCell, rng: np.random.Generator) -> HandEye:
-    """Sweeps of a sphere, from a far guess."""
-    seen = sightings(cell.sphere_sweeps(CENTRE, SWEEPS, rng), max_points=1500)
-    found = find_sphere(seen, RADIUS_M, Mounting(draw_guess(cell.T_flange_scanner, rng)))
-    return solve(seen.of(found.on_sphere), found.target, found.mounting, Asked(time_offset=True))
 
 
 def pose_error(true: Pose, found: Pose) -> Array:
@@ -123,16 +123,15 @@ def pose_error(true: Pose, found: Pose) -> Array:
     return np.concatenate([found.translation - true.translation, turn])
 
 
-def located(cell: TrueCell, T_base_port: Pose, mounting: Mounting, view_rad: Array, rng: np.random.Generator) -> Pose:
+def located(cell: TrueCell, T_base_port: Pose, known: Known, view_rad: Array, rng: np.random.Generator) -> Pose:
     """T_base_port as arm, calibration and locator say: the scanner looks squarely at it, but for the view's tilt."""
-    late_s = cell.time_offset_s - mounting.time_offset_s
-    T_flange_scanner = mounting.T_flange_scanner.moved([0.0, -SPEED_M_S * late_s, 0.0])
-    T_port_scanner = Pose.from_rotvec(view_rad) @ Pose(T_PORT_TCP.rotation, np.array([0.0, 0.0, 0.29]))
-    told = T_base_port @ T_port_scanner @ T_flange_scanner.inverse()
+    late_s = cell.time_offset_s - known.mounting.time_offset_s
+    T_flange_scanner = known.mounting.T_flange_scanner.moved([0.0, -SPEED_M_S * late_s, 0.0])
+    told = square_on(T_base_port, view_rad, T_flange_scanner)
     true = cell.true_flange(told)
     T_scanner_port = (true @ cell.T_flange_scanner).inverse() @ T_base_port
     noise = exp(np.concatenate([rng.normal(0, LOCATOR_M, 3), rng.normal(0, LOCATOR_RAD, 3)]))
-    return told @ T_flange_scanner @ T_scanner_port @ noise
+    return known.flange(told) @ T_flange_scanner @ T_scanner_port @ noise
 
 
 def told_when_mated(cell: TrueCell, T_base_port: Pose, rng: np.random.Generator) -> Pose:
@@ -143,10 +142,6 @@ def told_when_mated(cell: TrueCell, T_base_port: Pose, rng: np.random.Generator)
     for _ in range(4):  # the told flange pose whose true pose is the wanted one
         told = told @ (cell.true_flange(told).inverse() @ wanted)
     return told @ T_FLANGE_TCP
-
-
-T_FLANGE_TCP = Pose(np.eye(3), np.array([0.0, 0.0, 0.2]))
-"""What the controller believes."""
 
 
 def plug_placed(cell: TrueCell, T_base_port: Pose, T_base_tcp: Pose) -> Placed:

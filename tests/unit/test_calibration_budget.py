@@ -9,7 +9,9 @@ import numpy as np
 import pytest
 
 from controller.calibrations.budget import (
+    ARM_NEAR_MM,
     HAND_EYE_MM,
+    LOCATED_SIGMA,
     OWN_SIGMA,
     assumed_hand_eye_covariance,
     at_lever_mm,
@@ -39,6 +41,12 @@ def test_what_is_measured_replaces_what_is_assumed_and_teaching_cancels_it() -> 
     assert measured["hand-eye"].taught_mm == 0.0
     taught = {part.name: part for part in parts({"port-ccs2": calibration("port", 0.08, 0.0, "ccs2")}, 290.0)}
     assert taught["teaching"].taught_mm == pytest.approx(0.08)
+
+
+def test_a_mounting_that_was_solved_with_the_arm_counts_by_what_both_leave_uncertain_of_a_port() -> None:
+    solved = replace(calibration("hand-eye", 0.3, 0.1), arm_errors=np.zeros(19), residuals=((LOCATED_SIGMA, 0.34),))
+    found = {part.name: part for part in parts({"hand-eye": solved}, 290.0)}
+    assert (found["hand-eye"].untaught_mm, found["arm"].untaught_mm) == (0.34, ARM_NEAR_MM)
 
 
 def test_the_table_ends_with_the_root_of_the_sum_of_squares() -> None:

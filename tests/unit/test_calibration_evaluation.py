@@ -13,19 +13,17 @@ from perception.calibration.from_sweeps import TargetKind, solve_sweeps
 from perception.calibration.hand_eye import Asked
 from perception.calibration.sightings import Mounting
 from perception.evaluation.calibration_cells import FACING_X, START, Chain, TrueCell, draw_cell
+from perception.evaluation.calibration_controller import T_FLANGE_TCP, T_PORT_TCP, calibrated
 from perception.evaluation.calibration_report import Trials, rows, table
 from perception.evaluation.calibration_trials import (
     CAPTURE_M,
     CAPTURE_RAD,
     CAR_M,
     CAR_RAD,
-    T_FLANGE_TCP,
-    T_PORT_TCP,
     DriftTrial,
     HandEyeTrial,
     Placed,
     PlacingTrial,
-    calibrated,
     drift_trial,
     plug_placed,
     told_when_mated,
@@ -90,7 +88,7 @@ def test_the_drift_trial_sees_a_bump() -> None:
 
 def test_the_table_says_no_where_a_bar_is_missed() -> None:
     good, bad = HandEyeTrial(0.05, 0.01, True), HandEyeTrial(0.5, 0.2, False)
-    placed = PlacingTrial(0.2, Placed(0.8, True), Placed(0.2, True))
+    placed = PlacingTrial(0.2, 0.3, 0.5, Placed(0.8, True), Placed(0.2, True))
     text = table(rows(20, Trials([good] * 20, [placed] * 5, [placed] * 5, [DriftTrial(False, 3)] * 5)), 20)
     assert "| hand-eye position, perfect arm, 95% quantile of 20 | 0.050 mm |" in text
     missed = rows(20, Trials([bad] * 20, [placed] * 5, [placed] * 5, [DriftTrial(True, None)] * 5))
@@ -100,7 +98,7 @@ def test_the_table_says_no_where_a_bar_is_missed() -> None:
 
 def test_a_plug_beyond_capture_is_no_first_try_and_two_of_a_hundred_are_too_many() -> None:
     good, astray = Placed(0.2, True), Placed(1.2, False)
-    tries = [PlacingTrial(0.2, astray, good)] * 98 + [PlacingTrial(0.2, astray, astray)] * 2
+    tries = [PlacingTrial(0.2, 0.3, 0.5, astray, good)] * 98 + [PlacingTrial(0.2, 0.3, 0.5, astray, astray)] * 2
     found = {row.what: row for row in rows(20, Trials([HandEyeTrial(0.05, 0.01, True)], [], tries, []))}
     after, without = (f"first tries within capture {when} teaching, all errors" for when in ("after", "without"))
     taught, untaught = found[after], found[without]

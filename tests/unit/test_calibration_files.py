@@ -12,6 +12,7 @@ from typer.testing import CliRunner
 
 from controller.calibrations import store as store_module
 from controller.calibrations.in_force import (
+    basis_of,
     calibrated,
     device_names,
     examine_calibrations,
@@ -50,6 +51,35 @@ def test_a_file_gives_back_what_was_written(tmp_path: Path) -> None:
     np.testing.assert_allclose(read.covariance, written.covariance, rtol=1e-6)
     assert (read.latency_ms, read.devices, read.measured) == (3.5, written.devices, NOW)
     assert dict(read.residuals) == {"rms_mm": 0.1}
+
+
+ARM_ERRORS = np.concatenate([np.linspace(-2e-4, 2e-4, 12), np.deg2rad(np.linspace(-0.02, 0.02, 6)), [3e-6]])
+
+
+def test_the_arms_errors_are_kept_in_their_units_and_become_the_sites(tmp_path: Path) -> None:
+    config = site(tmp_path)
+    text = to_yaml(replace(hand_eye(config), arm_errors=ARM_ERRORS))
+    assert "a_mm: [-0.2, -0.163636," in text
+    assert "compliance_urad_per_nm: 3.0" in text
+    read = from_yaml(text, "a file")
+    np.testing.assert_allclose(read.arm_errors, ARM_ERRORS, atol=2e-9)
+    effective = with_calibrations(config, [read])
+    np.testing.assert_allclose(effective.arm.errors.errors, ARM_ERRORS, atol=2e-9)
+    assert basis_of(effective) != basis_of(with_calibrations(config, [hand_eye(config)]))
+
+
+def test_a_calibration_without_the_arms_errors_leaves_the_arm_at_its_word(tmp_path: Path) -> None:
+    config = site(tmp_path)
+    assert from_yaml(to_yaml(hand_eye(config)), "a file").arm_errors is None
+    assert with_calibrations(config, [hand_eye(config)]).arm.errors.errors is None
+
+
+@pytest.mark.parametrize("wrong", ["a_mm: [0.1]", "a_mm: [0.1, 0, 0, .nan, 0, 0]", "b_mm: []"])
+def test_errors_of_the_arm_that_are_no_six_numbers_are_no_calibration(tmp_path: Path, wrong: str) -> None:
+    text = to_yaml(replace(hand_eye(site(tmp_path)), arm_errors=np.zeros(19) + 1e-4))
+    damaged = text.replace(text[text.index("a_mm") : text.index("]", text.index("a_mm")) + 1], wrong)
+    with pytest.raises(CalibrationFileError, match="no calibration file"):
+        from_yaml(damaged, "a file")
 
 
 @pytest.mark.parametrize(
