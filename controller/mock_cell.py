@@ -16,6 +16,7 @@ from types import TracebackType
 from controller.coarse_config import CoarseConfig
 from controller.config import SiteConfig
 from controller.config_section import ConfigError
+from controller.mock_calibrations import as_calibrated, has_hidden_latency
 from controller.port_files import load_port
 from controller.scenarios import Scenario
 from drivers.base import LinkOpenError
@@ -31,7 +32,10 @@ HOME_JOINTS = (2.8, -1.8, 1.8, -0.2, 1.5, 2.9)
 
 
 class MockCell:
-    """Three mock devices, each a process at the far end of its wire. ``config`` names their addresses."""
+    """Three mock devices, each a process at the far end of its wire.
+
+    ``config``: the site with their addresses, and with the calibrations that are kept of such a cell.
+    """
 
     def __init__(
         self,
@@ -81,10 +85,11 @@ class MockCell:
         except BaseException:
             self._stop()
             raise
-        self.config = self._base.model_copy(
+        site = as_calibrated(self._base) if self._scenario.calibrated else self._base
+        self.config = site.model_copy(
             update={
-                "arm": self._base.arm.model_copy(update={"host": host}),
-                "scanner": self._base.scanner.model_copy(update={"device": scanner}),
+                "arm": site.arm.model_copy(update={"host": host}),
+                "scanner": site.scanner.model_copy(update={"device": scanner}),
                 "coarse": self._coarse_at(coarse),
                 "charger": self._base.charger.model_copy(update={"interface": self._can[0], "channel": self._can[1]}),
             }
@@ -117,8 +122,10 @@ class MockCell:
 
     def _scanner_options(self) -> list[str]:
         scanner = self._base.scanner
-        shared = scanner.sync == "shared_clock"
-        options = [*PROFILE_RATE, "--clock-offset-s", "0" if shared else "100", "--protocol", scanner.protocol]
+        late_s = self._scenario.miscalibration.latency_s if has_hidden_latency(scanner) else 0.0
+        clock = [late_s, 0.0] if scanner.sync == "shared_clock" else [100.0, late_s]
+        options = [*PROFILE_RATE, "--clock-offset-s", f"{clock[0]:g}", "--latency-s", f"{clock[1]:g}"]
+        options += ["--protocol", scanner.protocol]
         if scanner.sync == "trigger":
             options += ["--trigger-output", str(scanner.trigger_output)]
         if scanner.protocol == "profiler2":

@@ -9,6 +9,7 @@ import numpy as np
 
 from controller.config import SiteConfig
 from controller.config_section import ConfigError
+from controller.mock_calibrations import CELL, stands_for
 from perception.geometry import Array, Pose
 from perception.port_shape import PortDescription
 
@@ -35,6 +36,8 @@ class Miscalibration:
     """True lengths of the arm (d1, a2, a3, d4, d5, d6) minus those that it computes with."""
     compliance_rad_per_nm: float = 0.0
     """Of each joint under the weight that it carries."""
+    latency_s: float = 0.0
+    """Profiles were measured so much earlier than stamp or arrival say, beyond what the scanner's data tell."""
 
 
 NONE = Miscalibration(Pose.identity(), Pose.identity(), (0.0,) * 6)
@@ -53,6 +56,8 @@ class Scenario:
     glare_until_sweep: int = 0
     blocked_depth_m: float | None = None
     miscalibration: Miscalibration = NONE
+    calibrated: bool = False
+    """The cell is the one whose calibrations are kept with portdock (``mock_calibrations``)."""
 
 
 COMPLIANCE_RAD_PER_NM = 3e-6
@@ -60,6 +65,7 @@ COMPLIANCE_RAD_PER_NM = 3e-6
 again from cell to cell."""
 UNCALIBRATED_M, UNCALIBRATED_DEG = (0.010, 0.020), (5.0, 10.0)
 """How far a scanner that was mounted by eye and tape measure sits off its nominal place."""
+UNCALIBRATED_LATENCY_S = 0.005
 UNCALIBRATED_JOINT_DEG = 0.02
 """No joint zero is farther off: with the lengths the arm is some 0.5 mm off at the port."""
 
@@ -68,12 +74,15 @@ BLOCKED_DEPTH_M = 0.008
 
 
 def draw_scenario(name: str, config: SiteConfig, port: PortDescription, seed: int, cell: int | None = None) -> Scenario:
-    """The scenario's world: the car stands up to 20 mm, 4 deg off, the calibration is good but not perfect.
+    """The scenario's world: the car stands up to 20 mm, 4 deg off.
 
     Before a site with a coarse stage it stands farther off: up to 60 % of what that stage is to bridge.
 
-    ``uncalibrated``: the scanner sits 10 to 20 mm and 5 to 10 deg off its nominal place, joints are up to
-    0.02 deg off. The arm's lengths are up to 0.2 mm off in every scenario.
+    ``uncalibrated``: the scanner sits 10 to 20 mm and 5 to 10 deg off its nominal place, its clock is up to 5 ms late,
+    joints are up to 0.02 deg off, the tool some tenths of a millimetre. All others: where the site is built as the
+    bundled one, such a cell that was calibrated (``mock_calibrations``); else, and where a ``cell`` is named, one of
+    which only the errors are known that a good calibration leaves. The arm's lengths are up to 0.2 mm off in every one.
+
     ``cell``: which cell, where that is not the seed: its calibration errors stay while the car comes and goes.
 
     Raises ConfigError for an unknown name.
@@ -83,9 +92,10 @@ def draw_scenario(name: str, config: SiteConfig, port: PortDescription, seed: in
     offset_m = rng.uniform(-1.0, 1.0, 3) * _parking_m(config)
     turn_rad = np.deg2rad(rng.uniform(-1.0, 1.0, 3) * [4.0, 4.0, 3.0])
     T_base_port = config.port.T_base_port.pose @ Pose.from_rotvec(turn_rad, offset_m)
-    cell_rng = np.random.default_rng([seed if cell is None else cell, 2])
-    unknown = _draw_uncalibrated(cell_rng) if name == "uncalibrated" else _draw_miscalibration(cell_rng)
-    nominal = Scenario(name, T_base_port, miscalibration=unknown)
+    kept = name != "uncalibrated" and cell is None and stands_for(config)
+    number = CELL if kept else seed if cell is None else cell
+    drawn = _draw_uncalibrated if kept or name == "uncalibrated" else _draw_miscalibration
+    nominal = Scenario(name, T_base_port, miscalibration=drawn(np.random.default_rng([number, 2])), calibrated=kept)
     match name:
         case "no-port":
             return replace(nominal, plain_panel=True)
@@ -134,4 +144,5 @@ def _draw_uncalibrated(rng: np.random.Generator) -> Miscalibration:
     tool = Pose.from_rotvec(np.deg2rad(rng.normal(0.0, TOOL_DEG, 3)), rng.normal(0.0, TOOL_M, 3))
     off_deg = rng.uniform(-UNCALIBRATED_JOINT_DEG, UNCALIBRATED_JOINT_DEG, 6)
     j1, j2, j3, j4, j5, j6 = np.deg2rad(off_deg).tolist()
-    return _with_arm(Miscalibration(scanner, tool, (j1, j2, j3, j4, j5, j6)), rng)
+    drawn = _with_arm(Miscalibration(scanner, tool, (j1, j2, j3, j4, j5, j6)), rng)
+    return replace(drawn, latency_s=float(rng.uniform(0.0, UNCALIBRATED_LATENCY_S)))
