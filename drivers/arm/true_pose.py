@@ -16,39 +16,31 @@ from drivers.base import ArmState
 from perception.calibration.arm_errors import Weights, error_jacobian, true_in_told
 from perception.geometry import Array, Pose
 
-REUSED_WITHIN_RAD = 1e-3
-"""So near in all joints the correction is the same to a micrometre."""
+
+def true_states(told: list[ArmState], settings: UrSettings) -> list[ArmState]:
+    """The samples with their true poses."""
+    if settings.errors is None or not told:
+        return told
+    corrections = _true_in_told_tcp(np.stack([state.joints for state in told]), settings.errors, settings)
+    pairs = zip(told, corrections, strict=True)
+    return [replace(state, T_base_tcp=state.T_base_tcp @ correction) for state, correction in pairs]
 
 
-class TruePoses:
-    """The corrections of one arm, the last one kept."""
+def told_pose(T_base_tcp: Pose, joints: Array, settings: UrSettings) -> Pose:
+    """What the arm is to be told, on the branch nearest to ``joints`` (6,). A pose out of reach is left as it is."""
+    s = settings
+    if s.errors is None:
+        return T_base_tcp
+    there = nearest_branch(s.kinematics, T_base_tcp @ s.T_flange_tcp.inverse(), joints, s.joint_limits)
+    return T_base_tcp if there is None else T_base_tcp @ _true_in_told_tcp(there[None], s.errors, s)[0].inverse()
 
-    def __init__(self, settings: UrSettings) -> None:
-        self._settings = settings
-        self._weights = Weights(load_kg=settings.payload_kg)
-        self._last: tuple[Array, Pose] | None = None
 
-    def of(self, told: ArmState) -> ArmState:
-        """The sample with its true pose."""
-        if self._settings.errors is None:
-            return told
-        return replace(told, T_base_tcp=told.T_base_tcp @ self._true_in_told_tcp(told.joints))
-
-    def told(self, T_base_tcp: Pose, joints: Array) -> Pose:
-        """What the arm is to be told, on the branch nearest to ``joints``. A pose out of reach is left as it is."""
-        s = self._settings
-        if s.errors is None:
-            return T_base_tcp
-        there = nearest_branch(s.kinematics, T_base_tcp @ s.T_flange_tcp.inverse(), joints, s.joint_limits)
-        return T_base_tcp if there is None else T_base_tcp @ self._true_in_told_tcp(there).inverse()
-
-    def _true_in_told_tcp(self, joints: Array) -> Pose:
-        s, last = self._settings, self._last
-        assert s.errors is not None, "an arm at its word needs no correction"
-        if last is None or float(np.abs(joints - last[0]).max()) > REUSED_WITHIN_RAD:
-            moved = true_in_told(frames_many(s.kinematics, joints[None]), s.errors, self._weights)[0]
-            last = self._last = joints, s.T_flange_tcp.inverse() @ moved @ s.T_flange_tcp
-        return last[1]
+def _true_in_told_tcp(joints: Array, errors: Array, settings: UrSettings) -> list[Pose]:
+    """The true TCP in the frame of the told one, at joints (K, 6)."""
+    T_flange_tcp, weights = settings.T_flange_tcp, Weights(load_kg=settings.payload_kg)
+    T_tcp_flange = T_flange_tcp.inverse()
+    moved = true_in_told(frames_many(settings.kinematics, joints), errors, weights)
+    return [T_tcp_flange @ one @ T_flange_tcp for one in moved]
 
 
 def error_jacobians(settings: UrSettings, T_base_flange: tuple[Pose, ...], near: Array) -> Array:

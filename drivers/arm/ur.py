@@ -20,7 +20,7 @@ from drivers.arm.links import Links
 from drivers.arm.motion import MotionTracker
 from drivers.arm.outputs import OutputLink
 from drivers.arm.settings import UrSettings
-from drivers.arm.true_pose import TruePoses
+from drivers.arm.true_pose import told_pose, true_states
 from drivers.arm.worker_client import CALL_S
 from drivers.base import (
     ArmCommandRecord,
@@ -56,7 +56,7 @@ class UrArm:
         self._clock = clock or MonotonicClock()
         self._links = links or Links(settings, self._sink, self._clock)
         self._tracker = MotionTracker()
-        self._true = TruePoses(settings)
+        self._newest_true: tuple[ArmState, ArmState] | None = None
         self._lock = threading.Lock()
         self._obstacles: tuple[Box, ...] = ()
         self._outputs = OutputLink(settings.host)
@@ -87,11 +87,14 @@ class UrArm:
 
     def state(self) -> ArmState:
         """The newest sample. Raises StateLinkLostError or FrozenStateError when it is stale."""
-        return self._true.of(self._told())
+        told, newest = self._told(), self._newest_true
+        if newest is None or newest[0] is not told:  # asked for several times for each sample
+            newest = self._newest_true = told, true_states([told], self._settings)[0]
+        return newest[1]
 
     def history(self, since_s: float) -> list[ArmState]:
         """Samples received after ``since_s``, oldest first."""
-        return [self._true.of(state) for state in self._links.telemetry.history(since_s)]
+        return true_states(self._links.telemetry.history(since_s), self._settings)
 
     def health(self) -> LinkHealth:
         """Of both links: up only if state is fresh and the control link lives."""
@@ -124,7 +127,7 @@ class UrArm:
     def move_joints(self, T_base_tcp: Pose, speed_rad_s: float, acceleration_rad_s2: float) -> int:
         """Joint motion to the pose on the branch nearest to the present joints. Returns the motion's id."""
         s, state = self._settings, self._told()
-        pose = validate.target(self._true.told(T_base_tcp, state.joints), s)
+        pose = validate.target(told_pose(T_base_tcp, state.joints, s), s)
         speed = validate.within("joint speed", speed_rad_s, s.caps.joint_speed_rad_s, "rad/s")
         acceleration = validate.within(
             "joint acceleration", acceleration_rad_s2, s.caps.joint_acceleration_rad_s2, "rad/s2"
@@ -142,7 +145,7 @@ class UrArm:
     def move_linear(self, T_base_tcp: Pose, speed_m_s: float, acceleration_m_s2: float) -> int:
         """Straight motion to the pose; the whole way is checked first. Returns the motion's id."""
         s, state = self._settings, self._told()
-        pose = validate.target(self._true.told(T_base_tcp, state.joints), s)
+        pose = validate.target(told_pose(T_base_tcp, state.joints, s), s)
         speed = validate.within("speed", speed_m_s, s.caps.tcp_speed_m_s, "m/s")
         acceleration = validate.within("acceleration", acceleration_m_s2, s.caps.tcp_acceleration_m_s2, "m/s2")
         validate.clear(validate.line(pose, state, s), s, self._obstacles)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from perception.calibration.arm_errors import COUNT, Weights, error_jacobian
 from perception.calibration.arm_fit import ArmFit, fit_arm
@@ -31,14 +32,14 @@ class Known:
     errors: Array
     """(19,) of the arm."""
     fit: ArmFit | None = None
-    ideal_mounting: Mounting | None = None
-    """What it would be with the arm taken at its word."""
+    solved: HandEye | None = None
+    """The solution with the arm taken at its word."""
 
     @property
     def ideal(self) -> Known:
         """A controller that takes the arm at its word."""
-        assert self.ideal_mounting is not None
-        return Known(self.ideal_mounting, np.zeros(COUNT))
+        assert self.solved is not None
+        return Known(self.solved.mounting, np.zeros(COUNT))
 
     def flange(self, told: Pose) -> Pose:
         """Where the flange is taken to be when the arm tells this."""
@@ -53,6 +54,16 @@ class Known:
         flange = T_base_tcp @ T_FLANGE_TCP.inverse()
         return flange @ exp(error_jacobian_at(flange) @ self.errors).inverse() @ T_FLANGE_TCP
 
+    def holds(self, T_flange_scanner: Pose) -> bool:
+        """Whether this mounting lies in the stated 95 % ellipsoid, with the arm estimated too."""
+        assert self.fit is not None
+        return _inside_95(T_flange_scanner, self.fit.hand_eye)
+
+    def holds_at_its_word(self, T_flange_scanner: Pose) -> bool:
+        """The same of the solution that takes the arm at its word."""
+        assert self.solved is not None
+        return _inside_95(T_flange_scanner, self.solved)
+
     def located_sigma_m(self, T_base_port: Pose) -> float:
         """1 sigma of a port's place that is seen square on."""
         assert self.fit is not None
@@ -61,18 +72,28 @@ class Known:
         return self.fit.located_sigma_m(error_jacobian_at(seen_from), place)
 
 
+CHI2_6_95 = 12.592
+"""95 % quantile of chi square with six degrees of freedom."""
+
+
+def _inside_95(T_flange_scanner: Pose, found: HandEye) -> bool:
+    off = pose_error(T_flange_scanner, found.mounting.T_flange_scanner)
+    return float(off @ np.linalg.solve(found.covariance[:6, :6], off)) < CHI2_6_95
+
+
+def pose_error(true: Pose, found: Pose) -> Array:
+    """(6,) in the order and frames of the solver's covariance."""
+    turn = Rotation.from_matrix(true.rotation.T @ found.rotation).as_rotvec()
+    return np.concatenate([found.translation - true.translation, turn])
+
+
 def calibrated_with_arm(cell: TrueCell, rng: np.random.Generator) -> Known:
     """Sweeps of a sphere, from a far guess; the arm's own errors are estimated along with the mounting."""
     sweeps = cell.sphere_sweeps(CENTRE, SWEEPS, rng)
     seen, solved = _solved(cell, sweeps, rng)
     ends = [np.stack([error_jacobian_at(scan.T_base_flange[k]) for k in (0, -1)]) for scan in sweeps]
     fit = fit_arm(seen, solved, ends, ASKED)
-    return Known(fit.hand_eye.mounting, fit.errors, fit, solved.mounting)
-
-
-def calibrated(cell: TrueCell, rng: np.random.Generator) -> HandEye:
-    """The same with the arm taken at its word."""
-    return _solved(cell, cell.sphere_sweeps(CENTRE, SWEEPS, rng), rng)[1]
+    return Known(fit.hand_eye.mounting, fit.errors, fit, solved)
 
 
 def _solved(cell: TrueCell, sweeps: list[Scan], rng: np.random.Generator) -> tuple[Sightings, HandEye]:

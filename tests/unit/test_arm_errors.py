@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from drivers.arm.kinematics import MODELS, forward, frames_many
 from drivers.arm.settings import UrSettings
-from drivers.arm.true_pose import TruePoses, error_jacobians
+from drivers.arm.true_pose import error_jacobians, told_pose, true_states
 from drivers.base import ArmState, RobotMode, SafetyMode
 from mocks.ur.arm import Arm as MockArm
 from mocks.ur.arm import Sensor
@@ -81,29 +81,35 @@ def told_state(q: np.ndarray) -> ArmState:
 @given(st.lists(st.floats(-0.3, 0.3), min_size=6, max_size=6))
 def test_what_the_arm_is_told_brings_the_true_tcp_where_it_is_wanted(off: list[float]) -> None:
     q = BEFORE_THE_PORT + off
-    wanted, poses = erring_flange(q, ERRORS) @ T_FLANGE_TCP, TruePoses(KNOWN)
-    told = poses.told(wanted, BEFORE_THE_PORT)
+    wanted = erring_flange(q, ERRORS) @ T_FLANGE_TCP
+    told = told_pose(wanted, BEFORE_THE_PORT, KNOWN)
     assert told.distance_to(told_state(q).T_base_tcp) < 5e-6
     assert told.angle_to(told_state(q).T_base_tcp) < 1e-5
-    assert poses.of(told_state(q)).T_base_tcp.distance_to(wanted) < 5e-6
-    assert poses.of(told_state(q)).T_base_flange.distance_to(erring_flange(q, ERRORS)) < 5e-6
+    true = true_states([told_state(q)], KNOWN)[0]
+    assert true.T_base_tcp.distance_to(wanted) < 5e-6
+    assert true.T_base_flange.distance_to(erring_flange(q, ERRORS)) < 5e-6
 
 
-def test_a_correction_is_kept_only_for_joints_that_are_near() -> None:
-    poses = TruePoses(KNOWN)
-    for q in (BEFORE_THE_PORT, BEFORE_THE_PORT + 4e-4, BEFORE_THE_PORT + 0.5, BEFORE_THE_PORT):
-        assert poses.of(told_state(q)).T_base_flange.distance_to(erring_flange(q, ERRORS)) < 4e-6
+def test_each_sample_is_corrected_by_its_own_joints_whatever_came_before() -> None:
+    """A replay asks at other times than the mission did, and is to come to the same poses."""
+    states = [told_state(BEFORE_THE_PORT + step) for step in (0.0, 4e-4, 0.5)]
+    together = true_states(states, KNOWN)
+    for state, true in zip(states, together, strict=True):
+        assert true.T_base_flange.distance_to(erring_flange(state.joints, ERRORS)) < 4e-6
+        alone = true_states([state], KNOWN)[0]
+        np.testing.assert_allclose(alone.T_base_tcp.matrix, true.T_base_tcp.matrix, atol=1e-15)
+    assert true_states([], KNOWN) == []
 
 
 def test_an_arm_at_its_word_is_left_alone() -> None:
-    poses, state = TruePoses(replace(KNOWN, errors=None)), told_state(BEFORE_THE_PORT)
-    assert poses.of(state) is state
-    assert poses.told(state.T_base_tcp, state.joints) is state.T_base_tcp
+    ideal, state = replace(KNOWN, errors=None), told_state(BEFORE_THE_PORT)
+    assert true_states([state], ideal)[0] is state
+    assert told_pose(state.T_base_tcp, state.joints, ideal) is state.T_base_tcp
 
 
 def test_a_pose_out_of_reach_is_left_to_the_checks_that_refuse_it_and_has_no_jacobian() -> None:
     far = Pose(np.eye(3), np.array([9.0, 0.0, 0.0]))
-    assert TruePoses(KNOWN).told(far, BEFORE_THE_PORT) is far
+    assert told_pose(far, BEFORE_THE_PORT, KNOWN) is far
     with pytest.raises(ValueError, match="cannot reach"):
         error_jacobians(KNOWN, (far,), BEFORE_THE_PORT)
 

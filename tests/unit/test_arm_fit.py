@@ -14,8 +14,15 @@ from perception.calibration.from_sweeps import Solved, TargetKind, solve_sweeps
 from perception.calibration.hand_eye import Asked
 from perception.calibration.sightings import Mounting
 from perception.evaluation.calibration_cells import Chain, TrueCell, draw_cell, with_all_errors
-from perception.evaluation.calibration_controller import CENTRE, SWEEPS, Known, calibrated_with_arm, error_jacobian_at
-from perception.evaluation.calibration_trials import located, pose_error
+from perception.evaluation.calibration_controller import (
+    CENTRE,
+    SWEEPS,
+    Known,
+    calibrated_with_arm,
+    error_jacobian_at,
+    pose_error,
+)
+from perception.evaluation.calibration_trials import located
 from perception.geometry import Pose
 from perception.scan import Scan
 
@@ -47,11 +54,11 @@ def test_a_port_is_located_better_than_with_the_arm_at_its_word(known: list[tupl
 
 def test_what_is_stated_covers_what_is_true(known: list[tuple[TrueCell, Known]]) -> None:
     """Six cells: a chi square of six degrees of freedom each, 99.9 % in all."""
-    squares = 0.0
+    squares: float = 0.0
     for cell, controller in known:
         assert controller.fit is not None
         off = pose_error(cell.T_flange_scanner, controller.mounting.T_flange_scanner)
-        squares += off @ np.linalg.solve(controller.fit.covariance[:6, :6], off)
+        squares += float(off @ np.linalg.solve(controller.fit.covariance[:6, :6], off))
         assert located_mm(cell, controller) < 3.0e3 * controller.located_sigma_m(HOME)
     assert squares < 67.98
 

@@ -13,7 +13,7 @@ from perception.calibration.from_sweeps import TargetKind, solve_sweeps
 from perception.calibration.hand_eye import Asked
 from perception.calibration.sightings import Mounting
 from perception.evaluation.calibration_cells import FACING_X, START, Chain, TrueCell, draw_cell
-from perception.evaluation.calibration_controller import T_FLANGE_TCP, T_PORT_TCP, calibrated
+from perception.evaluation.calibration_controller import T_FLANGE_TCP, T_PORT_TCP, calibrated_with_arm
 from perception.evaluation.calibration_report import Trials, rows, table
 from perception.evaluation.calibration_trials import (
     CAPTURE_M,
@@ -78,7 +78,7 @@ def test_gravity_turns_no_joint_whose_axis_is_upright_and_the_shoulder_by_weight
 
 def test_a_clock_that_is_off_is_estimated_with_the_mounting() -> None:
     cell = replace(draw_cell(np.random.default_rng(2)), time_offset_s=0.004)
-    assert calibrated(cell, np.random.default_rng(3)).mounting.time_offset_s == pytest.approx(0.004, abs=3e-4)
+    assert calibrated_with_arm(cell, np.random.default_rng(3)).mounting.time_offset_s == pytest.approx(0.004, abs=3e-4)
 
 
 def test_the_drift_trial_sees_a_bump() -> None:
@@ -87,8 +87,8 @@ def test_the_drift_trial_sees_a_bump() -> None:
 
 
 def test_the_table_says_no_where_a_bar_is_missed() -> None:
-    good, bad = HandEyeTrial(0.05, 0.01, True), HandEyeTrial(0.5, 0.2, False)
-    placed = PlacingTrial(0.2, 0.3, 0.5, Placed(0.8, True), Placed(0.2, True))
+    good, bad = HandEyeTrial(0.05, 0.01, True, 0.1), HandEyeTrial(0.5, 0.2, False, 0.5)
+    placed = PlacingTrial(0.2, 0.3, 0.5, True, Placed(0.8, True), Placed(0.2, True))
     text = table(rows(20, Trials([good] * 20, [placed] * 5, [placed] * 5, [DriftTrial(False, 3)] * 5)), 20)
     assert "| hand-eye position, perfect arm, 95% quantile of 20 | 0.050 mm |" in text
     missed = rows(20, Trials([bad] * 20, [placed] * 5, [placed] * 5, [DriftTrial(True, None)] * 5))
@@ -98,8 +98,10 @@ def test_the_table_says_no_where_a_bar_is_missed() -> None:
 
 def test_a_plug_beyond_capture_is_no_first_try_and_two_of_a_hundred_are_too_many() -> None:
     good, astray = Placed(0.2, True), Placed(1.2, False)
-    tries = [PlacingTrial(0.2, 0.3, 0.5, astray, good)] * 98 + [PlacingTrial(0.2, 0.3, 0.5, astray, astray)] * 2
-    found = {row.what: row for row in rows(20, Trials([HandEyeTrial(0.05, 0.01, True)], [], tries, []))}
+    tries = [PlacingTrial(0.2, 0.3, 0.5, True, astray, good)] * 98 + [
+        PlacingTrial(0.2, 0.3, 0.5, True, astray, astray)
+    ] * 2
+    found = {row.what: row for row in rows(20, Trials([HandEyeTrial(0.05, 0.01, True, 0.1)], [], tries, []))}
     after, without = (f"first tries within capture {when} teaching, all errors" for when in ("after", "without"))
     taught, untaught = found[after], found[without]
     assert (taught.value, taught.met, untaught.value, untaught.bar) == ("98/100", False, "0/100", "reported")
