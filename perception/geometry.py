@@ -13,6 +13,11 @@ from scipy.spatial.transform import Rotation, Slerp
 Array = NDArray[np.float64]
 
 
+PACKED_AT_MOST = 20_000
+"""More points are not given to BLAS: OpenBLAS packs them into buffers that it never gives back and that fill up further
+with each other number of points, by tens of megabytes in a process that runs for months."""
+
+
 @dataclass(frozen=True, eq=False)
 class Pose:
     """A rigid transform: ``rotation`` (3, 3) orthonormal with determinant +1, ``translation`` (3,) in metres."""
@@ -82,10 +87,13 @@ class Pose:
 
     def apply(self, points: Array) -> Array:
         """Points (N, 3) or one point (3,), from frame b to frame a."""
-        return np.asarray(points @ self.rotation.T + self.translation)
+        return np.asarray(self.rotate(points) + self.translation)
 
     def rotate(self, vectors: Array) -> Array:
         """Free vectors (N, 3) or (3,), from frame b to frame a: rotation only."""
+        if vectors.ndim == 2 and len(vectors) > PACKED_AT_MOST:
+            x, y, z = self.rotation.T
+            return np.asarray(vectors[:, :1] * x + vectors[:, 1:2] * y + vectors[:, 2:] * z)
         return np.asarray(vectors @ self.rotation.T)
 
     def moved(self, offset: ArrayLike) -> Pose:
