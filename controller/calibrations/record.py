@@ -13,6 +13,8 @@ from typing import Any, Literal, get_args
 import numpy as np
 import yaml
 
+from controller.arm_config import ArmErrorsConfig
+from perception.calibration.arm_errors import COUNT
 from perception.calibration.errors import CalibrationError
 from perception.geometry import Array, Pose
 
@@ -183,17 +185,15 @@ def _calibration(values: dict[str, Any]) -> Calibration:
 
 
 def _errors_values(errors: Array) -> dict[str, Any]:
-    in_units = np.concatenate([1e3 * errors[:12], np.rad2deg(errors[12:18]), 1e6 * errors[18:]])
-    values = [round(float(value), 6) for value in in_units]
-    return dict(zip(_ERRORS, (values[:6], values[6:12], values[12:18], values[18]), strict=True))
-
-
-_ERRORS = ("a_mm", "d_mm", "zeros_deg", "compliance_urad_per_nm")
+    """In the units of the site file's section ``arm.errors``."""
+    values = ArmErrorsConfig.of(errors).model_dump()
+    return {name: np.round(value, 6).tolist() for name, value in values.items()}
 
 
 def _errors(values: dict[str, Any]) -> Array:
-    a_mm, d_mm, zeros_deg = (_finite_ones(values[name], 6) for name in _ERRORS[:3])
-    return np.concatenate([1e-3 * a_mm, 1e-3 * d_mm, np.deg2rad(zeros_deg), [1e-6 * _finite(values[_ERRORS[3]])]])
+    """(19,). Raises ValueError for what that section refuses."""
+    errors = ArmErrorsConfig.model_validate(values).errors
+    return np.zeros(COUNT) if errors is None else errors
 
 
 def _finite_ones(values: Any, count: int) -> Array:

@@ -61,8 +61,8 @@ class ArmFit:
         rotation = self.hand_eye.mounting.T_flange_scanner.rotation
         by_mounting = np.hstack([np.eye(3), -rotation @ _cross_matrix(from_scanner)])
         by_arm = np.hstack([np.eye(3), -_cross_matrix(T_flange_port)]) @ jacobian
-        moved = np.hstack([by_mounting, by_arm])
-        return float(np.sqrt(np.trace(moved @ self.covariance @ moved.T)))
+        change = np.hstack([by_mounting, by_arm])
+        return float(np.sqrt(np.trace(change @ self.covariance @ change.T)))
 
 
 def fit_arm(seen: Sightings, solved: HandEye, jacobians: Sequence[Array], asked: Asked) -> ArmFit:
@@ -105,9 +105,9 @@ class _Stage:
         _, jacobian, residual, weights, noise = self._linear()
         pulled = np.concatenate([np.zeros(self._own), self.errors, self._shifts.ravel()]) * self._known()
         gradient = (jacobian * weights[:, None]).T @ residual / noise + pulled
-        scale = 1.0 / np.sqrt(np.diag(self._normal(jacobian, weights, noise)))
-        normal = self._normal(jacobian, weights, noise) * np.outer(scale, scale)
-        step = -scale * np.linalg.solve(normal, scale * gradient)
+        normal = self._normal(jacobian, weights, noise)
+        scale = 1.0 / np.sqrt(np.diag(normal))
+        step = -scale * np.linalg.solve(normal * np.outer(scale, scale), scale * gradient)
         self._mounting = moved(self._mounting, step[: self._k], self._chosen)
         self._target = self._target.moved(step[self._k : self._own])
         self.errors = self.errors + step[self._own : self._own + COUNT]
