@@ -58,6 +58,11 @@ class Wanted:
     ideal_arm: bool = False
     """Take the arm at its word: its own errors are not estimated."""
 
+    @property
+    def estimates_arm(self) -> bool:
+        """Not from a port: what it is built otherwise than drawn would be taken for the arm's errors."""
+        return not self.ideal_arm and self.kind.name != "port"
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Calibrated:
@@ -148,7 +153,7 @@ class _Calibrating:
         assert found is not None, "it is enough only with a solution"
         left_out_m = self._thinker.ask(self._cell, checked, found, self._wanted.asked)
         shared = self._config.scanner.sync in ("shared_clock", "trigger")
-        arm, located_m = (None, None) if self._wanted.ideal_arm else self._arm(found)
+        arm, located_m = self._arm(found) if self._wanted.estimates_arm else (None, None)
         scale = 1.0 if shared else self._cell.time_scale
         return Calibrated(found, arm, located_m, left_out_m, len(self._scans), scale)
 

@@ -25,6 +25,7 @@ from perception.evaluation.calibration_controller import (
 from perception.evaluation.calibration_trials import located
 from perception.geometry import Pose
 from perception.scan import Scan
+from tests.unit.calibration_rig import T_FLANGE_SCANNER, Rig
 
 HOME = Pose(np.array([[0.0, 0.0, -1.0], [-1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]), CENTRE)
 
@@ -86,6 +87,15 @@ def test_a_perfect_arm_is_found_nearly_perfect() -> None:
     assert np.abs(fit.errors / prior_sigma()).max() < 1.0
     assert fit.hand_eye.mounting.T_flange_scanner.distance_to(cell.T_flange_scanner) < 3e-4
     assert fit.shift_m == pytest.approx(SHIFT_M, rel=0.5)
+
+
+def test_the_faces_of_a_corner_serve_as_well_as_a_sphere() -> None:
+    scans = Rig(target="corner", sweeps=8).scans()
+    solved = solve_sweeps(scans, TargetKind("planes"), Mounting(T_FLANGE_SCANNER), Asked())
+    by_arm = [np.stack([error_jacobian_at(scan.T_base_flange[k]) for k in (0, -1)]) for scan in scans]
+    fit = fit_arm(solved.seen, solved.hand_eye, by_arm, Asked())
+    assert np.abs(fit.errors / prior_sigma()).max() < 1.0
+    assert fit.hand_eye.mounting.T_flange_scanner.distance_to(T_FLANGE_SCANNER) < 1e-4
 
 
 def test_sweeps_that_are_displaced_by_more_than_the_arms_errors_show_it() -> None:

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Literal
 
 import numpy as np
 import pytest
 
+from controller.calibrations.hand_eye_session import Wanted
 from controller.calibrations.port_sweeps import expected_skin
 from controller.calibrations.pose_choice import Aim, PoseChoice
 from controller.calibrations.views import CLEAR_M, View, candidates, reachable, sweep_of
@@ -133,3 +135,13 @@ def test_a_sweep_that_brings_the_plug_near_the_target_is_not_proposed() -> None:
     assert reachable(planned(0.0), TARGET, lambda _: None) is None
     assert f"{1e3 * CLEAR_M:.0f} mm" in str(reachable(planned(100.0), TARGET, lambda _: None))
     assert reachable(planned(0.0), TARGET, lambda _: "out of reach") == "out of reach"
+
+
+@pytest.mark.parametrize(
+    ("target", "ideal", "estimated"),
+    [("sphere", False, True), ("planes", False, True), ("port", False, False), ("sphere", True, False)],
+)
+def test_the_arm_is_estimated_from_true_shapes_unless_it_is_taken_at_its_word(
+    target: Literal["sphere", "planes", "port"], ideal: bool, estimated: bool
+) -> None:
+    assert Wanted(TargetKind(target), ideal_arm=ideal).estimates_arm is estimated
