@@ -241,7 +241,7 @@ def reach_check(config: SiteConfig, arm: Arm) -> ReachCheck:
 
 
 def arm_error_jacobians(config: SiteConfig, T_base_flange: tuple[Pose, ...], near: Array) -> Array:
-    """(K, 6, 19) how errors of the arm would move its flange at K poses, near joints (6,). Raises ValueError."""
+    """(K, 6, 19) how errors of the arm would move its flange at K poses, near joints (6,). Raises UnreachableError."""
     return error_jacobians(_arm_settings(config), T_base_flange, near)
 
 

@@ -96,8 +96,8 @@ def calibrate_hand_eye(
     heartbeat_mode: int = 3,
 ) -> Calibrated:
     """Sweep, solve, check. Raises CalibrationError, MissionFault, SweepError, LinkOpenError; nothing is stored."""
-    arm = config.arm.model_copy(update={"errors": ArmErrorsConfig()})  # what is estimated is not corrected for
-    config = config.model_copy(update={"arm": arm})
+    if wanted.estimates_arm:  # what is estimated is not corrected for
+        config = config.model_copy(update={"arm": config.arm.model_copy(update={"errors": ArmErrorsConfig()})})
     with ExitStack() as closing:
         cell = assemble(config, Unrecorded(), closing, pace=pace, heartbeat_mode=heartbeat_mode).cell
         thinker = Thinker()

@@ -76,7 +76,7 @@ def hand_eye(
             return
         found = calibrate_hand_eye(cell[0], wanted, show_quarters, typer.echo, pace=cell[1], heartbeat_mode=mode)
     _refuse_uncertain(found, wanted)
-    _store(found, site, mock_names(seed, scenario) if mock else device_names(site))
+    _store(found, cell[0], mock_names(seed, scenario) if mock else device_names(site))
 
 
 def _mock(

@@ -10,6 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from drivers.arm.errors import UnreachableError
 from drivers.arm.kinematics import frames_many, nearest_branch
 from drivers.arm.settings import UrSettings
 from drivers.base import ArmState
@@ -46,10 +47,10 @@ def _true_in_told_tcp(joints: Array, errors: Array, settings: UrSettings) -> lis
 def error_jacobians(settings: UrSettings, T_base_flange: tuple[Pose, ...], near: Array) -> Array:
     """(K, 6, 19) how errors would move the true flange at K poses, on the branch nearest to ``near`` (6,) joints.
 
-    :raises ValueError: a pose that the nominal kinematics cannot reach
+    :raises UnreachableError: a pose that the nominal kinematics cannot reach
     """
     joints = [nearest_branch(settings.kinematics, pose, near, settings.joint_limits) for pose in T_base_flange]
     reached = [one for one in joints if one is not None]
     if len(reached) < len(joints):
-        raise ValueError("the arm told a pose that its model cannot reach")
+        raise UnreachableError(f"the arm told a pose that a {settings.model} cannot reach", remedy="Check arm.model.")
     return error_jacobian(frames_many(settings.kinematics, np.stack(reached)), Weights(load_kg=settings.payload_kg))

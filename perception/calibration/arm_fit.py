@@ -51,16 +51,16 @@ class ArmFit:
     shift_m: float
     """1 sigma, each axis, of what else each sweep is displaced by."""
 
-    def located_sigma_m(self, jacobian: Array, T_flange_port: Array) -> float:
+    def located_sigma_m(self, jacobian: Array, place_in_flange: Array) -> float:
         """1 sigma, the three axes together, of the place of a port that is seen from one pose of the arm.
 
         :param jacobian: (6, 19) ``error_jacobian`` at that pose
-        :param T_flange_port: (3,) the port's place in the flange's frame
+        :param place_in_flange: (3,) of the port, metres
         """
-        from_scanner = self.hand_eye.mounting.T_flange_scanner.inverse().apply(T_flange_port[None])[0]
+        from_scanner = self.hand_eye.mounting.T_flange_scanner.inverse().apply(place_in_flange[None])[0]
         rotation = self.hand_eye.mounting.T_flange_scanner.rotation
         by_mounting = np.hstack([np.eye(3), -rotation @ _cross_matrix(from_scanner)])
-        by_arm = np.hstack([np.eye(3), -_cross_matrix(T_flange_port)]) @ jacobian
+        by_arm = np.hstack([np.eye(3), -_cross_matrix(place_in_flange)]) @ jacobian
         change = np.hstack([by_mounting, by_arm])
         return float(np.sqrt(np.trace(change @ self.covariance @ change.T)))
 

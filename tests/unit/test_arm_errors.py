@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from drivers.arm.errors import UnreachableError
 from drivers.arm.kinematics import MODELS, forward, frames_many
 from drivers.arm.settings import UrSettings
 from drivers.arm.true_pose import error_jacobians, told_pose, true_states
@@ -110,7 +111,7 @@ def test_an_arm_at_its_word_is_left_alone() -> None:
 def test_a_pose_out_of_reach_is_left_to_the_checks_that_refuse_it_and_has_no_jacobian() -> None:
     far = Pose(np.eye(3), np.array([9.0, 0.0, 0.0]))
     assert told_pose(far, BEFORE_THE_PORT, KNOWN) is far
-    with pytest.raises(ValueError, match="cannot reach"):
+    with pytest.raises(UnreachableError, match="ur10e cannot reach"):
         error_jacobians(KNOWN, (far,), BEFORE_THE_PORT)
 
 
