@@ -25,6 +25,8 @@ from perception.errors import PortdockError
 log = logging.getLogger(__name__)
 
 TICK_S = 0.01
+HALT_S = 1.0
+"""The longest that a stop takes to be given; the arm does not back off after a stop that is still to come."""
 
 
 class StopRequested(Exception):
@@ -63,6 +65,8 @@ class Supervisor:
         self._facts = Facts()
         self._request = _Request()
         self._trip: Fault | None = None
+        self._halted = False
+        """Whether the arm has been told to stop since the trip."""
         self._backing_off = False
         self._rhythm = Rhythm(wall_clock, HEARTBEAT_S, 0.5 * TICK_S)
         self._ticks = 0
@@ -123,7 +127,7 @@ class Supervisor:
     def reset(self) -> None:
         """An operator's reset: forget the latched trip and old requests."""
         with self._changed:
-            self._trip = None
+            self._trip, self._halted = None, False
             self._request = _Request()
 
     # --- what others ask it
@@ -190,7 +194,8 @@ class Supervisor:
         """
         with self._changed:
             lost = self._trip is not None and self._trip.code is FaultCode.CHARGER_LINK_LOST
-            self._backing_off = lost
+            # The stop that the trip itself makes is given first, or it would end the motion that begins now.
+            self._backing_off = lost and self._changed.wait_for(lambda: self._halted, timeout=HALT_S)
         try:
             yield lambda: self._backing_off
         finally:
@@ -262,15 +267,18 @@ class Supervisor:
                 return
             self._trip = fault
             self._changed.notify_all()
-        log.error("trip in %s: %s", self._facts.state.name, fault)
         self._stop_arm()
+        with self._changed:
+            self._halted = True
+            self._changed.notify_all()
+        log.error("trip in %s: %s", self._facts.state.name, fault)
 
     def _end_backing_off(self, fault: Fault) -> None:
         if not self._backing_off:
             return
         self._backing_off = False
-        log.error("backing off ends: %s", fault)
         self._stop_arm()
+        log.error("backing off ends: %s", fault)
 
     def _stop_arm(self) -> None:
         try:

@@ -81,6 +81,7 @@ def test_a_charger_that_is_back_resumes_nothing(tmp_path: Path, state: State) ->
     try:
         rig.mission.run()
         rig.charger.lost = False
+        _ticks(rig, 2)  # the tick that tripped has ended, with its own stop of the arm
         moves, kicks = len(rig.arm.moves), rig.arm.kicks
         _ticks(rig, 20)
         assert rig.supervisor.trip is not None
@@ -224,9 +225,28 @@ def test_while_backing_off_the_watchdog_is_kicked_and_anything_else_stops_the_ar
     approach.on_back_off = then_a_protective_stop
     outcome = approach.run()
     assert kicks and kicks[0] > 3
-    assert not approach.travelling, "stopped"
+    _until(lambda: not approach.travelling)  # stopped
     assert outcome.fault is not None
     assert outcome.fault.code is FaultCode.CHARGER_LINK_LOST, "the first trip stays"
+
+
+def test_the_arm_backs_off_only_after_the_stop_of_the_trip_itself(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    approach = Approach(tmp_path)
+    rig, stop = approach.rig, approach.rig.arm.stop
+    stopped_after: list[int] = []
+
+    def late_stop(deceleration: float = 1.0) -> None:
+        if threading.current_thread() is rig.supervisor._thread:
+            approach.backing_off.wait(0.2)  # which must not come before this stop
+            stopped_after.append(len(approach.travels))
+        stop(deceleration)
+
+    monkeypatch.setattr(rig.arm, "stop", late_stop)
+    approach.run()
+    assert len(approach.travels) == 3
+    assert stopped_after == [2], "not the third travel, which is the way out"
 
 
 @pytest.mark.parametrize("state", [state for state in State if state is not State.APPROACHING])
