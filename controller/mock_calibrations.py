@@ -16,6 +16,7 @@ from controller.scanner_config import ScannerConfig
 
 CELL = 0
 """The mock cell that is calibrated."""
+KEPT_NAME = "calibrated mock cell"
 _FOLDER = "mock-cell"
 
 
@@ -29,6 +30,19 @@ def stands_for(site: SiteConfig) -> bool:
         and site.arm.errors == bundled.arm.errors
         and (site.arm.model, site.arm.payload_kg) == (bundled.arm.model, bundled.arm.payload_kg)
     )
+
+
+def is_kept(site: SiteConfig, scenario: str, cell: int | None) -> bool:
+    """Whether a world is that of the calibrated cell: no other is named, and the site is built as it is."""
+    return scenario != "uncalibrated" and cell is None and stands_for(site)
+
+
+def cell_name(site: SiteConfig, scenario: str, seed: int, cell: int | None) -> str:
+    """One for each draw of a cell's errors: the calibrated cell is one, ``uncalibrated`` draws others than the rest."""
+    if is_kept(site, scenario, cell):
+        return KEPT_NAME
+    number = seed if cell is None else cell
+    return f"uncalibrated mock cell {number}" if scenario == "uncalibrated" else f"mock cell {number}"
 
 
 def has_hidden_latency(scanner: ScannerConfig) -> bool:

@@ -9,7 +9,7 @@ import numpy as np
 
 from controller.config import SiteConfig
 from controller.config_section import ConfigError
-from controller.mock_calibrations import CELL, stands_for
+from controller.mock_calibrations import CELL, is_kept
 from perception.geometry import Array, Pose
 from perception.port_shape import PortDescription
 
@@ -92,7 +92,7 @@ def draw_scenario(name: str, config: SiteConfig, port: PortDescription, seed: in
     offset_m = rng.uniform(-1.0, 1.0, 3) * _parking_m(config)
     turn_rad = np.deg2rad(rng.uniform(-1.0, 1.0, 3) * [4.0, 4.0, 3.0])
     T_base_port = config.port.T_base_port.pose @ Pose.from_rotvec(turn_rad, offset_m)
-    kept = name != "uncalibrated" and cell is None and stands_for(config)
+    kept = is_kept(config, name, cell)
     number = CELL if kept else seed if cell is None else cell
     drawn = _draw_uncalibrated if kept or name == "uncalibrated" else _draw_miscalibration
     nominal = Scenario(name, T_base_port, miscalibration=drawn(np.random.default_rng([number, 2])), calibrated=kept)

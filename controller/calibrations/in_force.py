@@ -35,10 +35,9 @@ def device_names(config: SiteConfig) -> DeviceNames:
     return DeviceNames(arm.serial or f"at {arm.host}", scanner.serial or f"at {scanner.device}")
 
 
-def mock_names(cell: int, scenario: str) -> DeviceNames:
-    """The devices of a mock cell: one for each draw of its errors, and ``uncalibrated`` draws others than the rest."""
-    name = f"uncalibrated mock cell {cell}" if scenario == "uncalibrated" else f"mock cell {cell}"
-    return DeviceNames(name, name)
+def mock_names(cell: str) -> DeviceNames:
+    """The devices of the mock cell that bears this name (``mock_calibrations.cell_name``)."""
+    return DeviceNames(cell, cell)
 
 
 def basis_of(config: SiteConfig) -> str:

@@ -17,6 +17,7 @@ from controller.calibrations.record import DeviceNames
 from controller.calibrations.store import CalibrationStore
 from controller.cli.scan import ConfigOption
 from controller.config import SiteConfig, load_config
+from controller.mock_calibrations import KEPT_NAME, as_calibrated, cell_name
 from controller.scenarios import check_name
 from perception.calibration.drift import AXES, ChartSettings, Dock, Drift, chart, warnings
 from perception.errors import InputError
@@ -30,7 +31,9 @@ def drift(
         str | None, typer.Option(help="Put this proposal in force: hand-eye, tool or port-NAME. Nothing moves.")
     ] = None,
     config: ConfigOption = None,
-    mock_cell: Annotated[int | None, typer.Option(min=0, help="Docks of this mock cell, made by dry runs.")] = None,
+    mock_cell: Annotated[
+        int | None, typer.Option(min=0, help="Docks of this mock cell. Plain dry runs' need no number.")
+    ] = None,
     scenario: Annotated[str, typer.Option(help="With --mock-cell: of which scenario.")] = "nominal",
 ) -> None:
     """Print the control chart of every port type docked at, what it warns of, and which correction would cancel it.
@@ -39,9 +42,9 @@ def drift(
     """
     check_name(scenario)
     site = load_config(config)
-    mocks = None if mock_cell is None else mock_names(mock_cell, scenario)
     folder = Path(site.calibration.folder)
     logged = read_docks(folder)
+    mocks = _mocks(scenario, mock_cell, logged)
     if not logged and accept is not None:
         raise InputError(f"there are no docks in {folder / NAME}: nothing is proposed", remedy="Dock some times first.")
     if not logged:
@@ -70,11 +73,20 @@ def drift(
         raise typer.Exit(1)
 
 
+def _mocks(scenario: str, mock_cell: int | None, logged: Sequence[LoggedDock]) -> DeviceNames | None:
+    """The mock cell that docked, None for the site's own devices."""
+    if mock_cell is not None:
+        return mock_names(cell_name(load_config(), scenario, mock_cell, mock_cell))
+    return mock_names(KEPT_NAME) if logged and logged[-1].basis.startswith(KEPT_NAME) else None
+
+
 def _proposed(
     site: SiteConfig, mocks: DeviceNames | None, found: Sequence[Drift], last: LoggedDock
 ) -> list[Correction]:
     """Raises InputError if other calibrations than the docks' are in force: they may have mended it already."""
     devices = mocks or device_names(site)
+    if devices.scanner == KEPT_NAME:
+        site = as_calibrated(site)
     site, examined = calibrated_as_far_as_fits(site, devices)
     if mocks is not None:
         site = site.model_copy(update={"scanner": site.scanner.model_copy(update={"serial": devices.scanner})})

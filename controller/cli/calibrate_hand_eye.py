@@ -21,6 +21,7 @@ from controller.calibrations.words import arm_words, compared, pose_words
 from controller.cli.dry_run import FAST_FACTOR, for_mocks
 from controller.cli.scan import ConfigOption, ErrorsOption, FastOption, MockOption, SeedOption, show_quarters
 from controller.config import SiteConfig, load_config
+from controller.mock_calibrations import cell_name
 from controller.port_files import load_port
 from controller.scenarios import draw_scenario
 from perception.calibration.errors import CalibrationError
@@ -76,7 +77,7 @@ def hand_eye(
             return
         found = calibrate_hand_eye(cell[0], wanted, show_quarters, typer.echo, pace=cell[1], heartbeat_mode=mode)
     _refuse_uncertain(found, wanted)
-    _store(found, cell[0], mock_names(seed, scenario) if mock else device_names(site))
+    _store(found, cell[0], mock_names(cell_name(site, scenario, seed, None)) if mock else device_names(site))
 
 
 def _mock(

@@ -29,6 +29,7 @@ from controller.cli.scan import (
     show_quarters,
 )
 from controller.config import SiteConfig, load_config
+from controller.mock_calibrations import cell_name
 from controller.port_files import load_port
 from perception.calibration.tool import tool_point
 from perception.errors import InputError
@@ -59,8 +60,8 @@ def tcp(
 
     Mating gives place and rotation but not the tool's length; touching gives the place, length included.
     """
-    site, number = load_config(config), seed if mock_cell is None else mock_cell
-    devices = mock_names(number, scenario) if mock else device_names(site)
+    site = load_config(config)
+    devices = mock_names(cell_name(site, scenario, seed, mock_cell)) if mock else device_names(site)
     if touches is not None:
         if mock:
             raise InputError("touches need no mock devices", remedy="Leave out --mock, or --touches.")
@@ -73,7 +74,7 @@ def tcp(
     with ExitStack() as closing:
         folder = Path(closing.enter_context(tempfile.TemporaryDirectory(prefix="portdock-tcp-")))
         hand_eye = _hand_eye(site, devices)
-        cell, pace = cell_for(closing, site, mock, seed, scenario, fast, number=number, remade=REMADE)
+        cell, pace = cell_for(closing, site, mock, seed, scenario, fast, number=mock_cell, remade=REMADE)
         known = Known(
             T_port_tcp=port.T_port_tcp,
             T_flange_scanner=cell.scanner.T_flange_scanner.pose,

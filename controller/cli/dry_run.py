@@ -17,6 +17,7 @@ from controller.calibrations.in_force import mock_names, on_mock_cell
 from controller.cli.progress import make_display
 from controller.config import SiteConfig, load_config
 from controller.config_section import ConfigError
+from controller.mock_calibrations import cell_name
 from controller.port_files import load_port
 from controller.scenarios import SCENARIOS, draw_scenario
 from controller.summary import MissionSummary
@@ -61,7 +62,7 @@ def dry_run(
 
     site = for_mocks(load_config(config, scanner), fast)
     world = draw_scenario(scenario, site, load_port(site.port.model), seed, mock_cell)
-    number = seed if mock_cell is None else mock_cell
+    names = mock_names(cell_name(site, scenario, seed, mock_cell))
     folder = run_folder(out, site)
     pace = FAST_FACTOR if fast else 1.0
     with make_display(quiet=as_json) as display, tempfile.TemporaryDirectory(prefix="portdock-") as wires:
@@ -69,7 +70,7 @@ def dry_run(
             display.note(f"fast: wires and arm run {pace:g} times as fast; heartbeats keep wall time; one device clock")
         with MockCell(Path(wires), site, world, seed, pace, can_bus(can), profile_rate(profile_rate_hz)) as cell:
             summary = run_session(
-                on_mock_cell(cell.config, mock_names(number, scenario)),
+                on_mock_cell(cell.config, names),
                 folder,
                 display,
                 pace=pace,

@@ -14,6 +14,7 @@ from controller.calibrations.in_force import calibrated, mock_names, on_mock_cel
 from controller.calibrations.record import Kind
 from controller.cli.dry_run import FAST_FACTOR, for_mocks
 from controller.config import SiteConfig, load_config
+from controller.mock_calibrations import cell_name
 from controller.port_files import load_port
 from controller.scenarios import SCENARIOS, draw_scenario
 
@@ -72,7 +73,7 @@ def cell_for(
     world = draw_scenario(scenario, site, load_port(site.port.model), seed, number)
     wires = closing.enter_context(tempfile.TemporaryDirectory(prefix="portdock-"))
     cell = MockCell(Path(wires), site, world, seed, pace, scanner_options=scanner_options)
-    devices = mock_names(seed if number is None else number, scenario)
+    devices = mock_names(cell_name(site, scenario, seed, number))
     return on_mock_cell(closing.enter_context(cell).config, devices), pace
 
 

@@ -52,6 +52,7 @@ def _run_on_mocks(site: SiteConfig, path: Path | None, fast: bool, scenario: str
     from controller.calibrations.in_force import mock_names, on_mock_cell
     from controller.cli.dry_run import FAST_FACTOR, for_mocks
     from controller.daemon.life import Setting, run_daemon  # see above
+    from controller.mock_calibrations import cell_name
     from controller.mock_cell import MockCell
     from controller.port_files import load_port
     from controller.scenarios import draw_scenario
@@ -62,7 +63,7 @@ def _run_on_mocks(site: SiteConfig, path: Path | None, fast: bool, scenario: str
     with tempfile.TemporaryDirectory(prefix="portdock-") as folder:
         service = wide.service.model_copy(update={"state_folder": folder})
         with MockCell(Path(folder), wide.model_copy(update={"service": service}), world, seed, pace) as cell:
-            site = on_mock_cell(cell.config, mock_names(seed, scenario))
+            site = on_mock_cell(cell.config, mock_names(cell_name(wide, scenario, seed, None)))
             run_daemon(Setting(site, "mock", path), assemble_at(pace, 1))
 
 

@@ -26,6 +26,7 @@ from controller.cli.scan import (
     show_quarters,
 )
 from controller.config import load_config
+from controller.mock_calibrations import cell_name
 from controller.port_files import load_port
 
 
@@ -47,12 +48,11 @@ def teach(
     site = load_config(config)
     site = site.model_copy(update={"port": site.port.model_copy(update={"model": port, "T_port_tcp": None})})
     drawn = load_port(port).T_port_tcp
-    number = seed if mock_cell is None else mock_cell
     with ExitStack() as closing:
         folder = Path(closing.enter_context(tempfile.TemporaryDirectory(prefix="portdock-teach-")))
-        cell, pace = cell_for(closing, site, mock, seed, scenario, fast, number=number, remade=("port",))
+        cell, pace = cell_for(closing, site, mock, seed, scenario, fast, number=mock_cell, remade=("port",))
         taught = teach_port(cell, folder, show_quarters, pace=pace, heartbeat_mode=1 if mock else 3)
-    devices = mock_names(number, scenario) if mock else device_names(site)
+    devices = mock_names(cell_name(site, scenario, seed, mock_cell)) if mock else device_names(site)
     one = Calibration(
         kind="port",
         pose=taught.T_port_tcp,

@@ -18,6 +18,7 @@ from controller.config import SiteConfig
 from controller.daemon.records import Recordings
 from controller.faults import Outcome
 from controller.mission import Mission
+from controller.mock_calibrations import cell_name
 from controller.mock_cell import MockCell
 from controller.port_files import load_port
 from controller.scenarios import draw_scenario
@@ -125,7 +126,7 @@ class _World:
         """All missions of this world. Raises LinkOpenError when its mocks do not come up."""
         plan, seed = self._plan, self._plan.seed + self._number
         world = draw_scenario(plan.scenario, self._site, load_port(self._site.port.model), seed, plan.mock_cell)
-        names = mock_names(seed if plan.mock_cell is None else plan.mock_cell, plan.scenario)
+        names = mock_names(cell_name(self._site, plan.scenario, seed, plan.mock_cell))
         with tempfile.TemporaryDirectory(prefix="portdock-soak-") as wires, ExitStack() as closing:
             cell = closing.enter_context(MockCell(Path(wires), self._site, world, seed, plan.pace))
             config = on_mock_cell(cell.config, names)

@@ -20,12 +20,13 @@ from controller.calibrations.in_force import (
     on_mock_cell,
     with_calibrations,
 )
-from controller.calibrations.record import Calibration, CalibrationFileError, basis, from_yaml, to_yaml
+from controller.calibrations.record import Calibration, CalibrationFileError, DeviceNames, basis, from_yaml, to_yaml
 from controller.calibrations.store import CalibrationStore
 from controller.cli.main import app
 from controller.config import SiteConfig, load_config
 from controller.doctor.examination import calibrations
 from controller.doctor.findings import Grade
+from controller.mock_calibrations import cell_name
 from perception.geometry import Pose
 
 NOW = datetime(2026, 3, 1, 12, 0, tzinfo=UTC)
@@ -158,16 +159,21 @@ def test_other_devices_and_old_age_are_refused_by_name(tmp_path: Path) -> None:
     assert "181 days old" in old.problem.cause
 
 
+def named(scenario: str, cell: int | None) -> DeviceNames:
+    return mock_names(cell_name(load_config(), scenario, 0, cell))
+
+
 @pytest.mark.parametrize(("scenario", "used"), [("uncalibrated", True), ("nominal", False), ("blocked", False)])
 def test_what_was_measured_on_an_uncalibrated_mock_cell_is_for_no_other_with_its_number(
     tmp_path: Path, scenario: str, used: bool
 ) -> None:
     config = site(tmp_path)
-    one = replace(hand_eye(config), devices=mock_names(3, "uncalibrated"), measured=datetime.now(UTC))
+    one = replace(hand_eye(config), devices=named("uncalibrated", 3), measured=datetime.now(UTC))
     CalibrationStore(Path(config.calibration.folder)).add(one)
-    found = on_mock_cell(config, mock_names(3, scenario))
+    found = on_mock_cell(config, named(scenario, 3))
     assert (found.scanner.T_flange_scanner != config.scanner.T_flange_scanner) is used
-    assert on_mock_cell(config, mock_names(4, scenario)).scanner.T_flange_scanner == config.scanner.T_flange_scanner
+    assert on_mock_cell(config, named("nominal", None)).scanner.T_flange_scanner == config.scanner.T_flange_scanner
+    assert on_mock_cell(config, named(scenario, 4)).scanner.T_flange_scanner == config.scanner.T_flange_scanner
 
 
 def test_a_port_taught_with_another_hand_eye_is_to_be_taught_again(tmp_path: Path) -> None:

@@ -9,8 +9,11 @@ import pytest
 from typer.testing import CliRunner
 
 from controller.calibrations.dock_log import NAME, append_dock, drift_warnings, judged, read_docks, rest_offset
+from controller.calibrations.in_force import basis_of, mock_names, on_mock_cell
 from controller.cli.main import app
+from controller.config import load_config
 from controller.config_section import ConfigError
+from controller.mock_calibrations import KEPT_NAME, as_calibrated
 from perception.calibration.drift import Dock
 from perception.geometry import Pose
 
@@ -59,6 +62,24 @@ def test_a_shift_is_warned_of_with_the_command_that_mends_it(tmp_path: Path, mon
     assert loud.exit_code == 1
     assert "OUT OF BOUNDS" in loud.output
     assert Path("chart.png").stat().st_size > 1000
+
+
+def test_the_chart_of_plain_dry_runs_proposes_a_correction_to_the_kept_calibrations(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    folder = tmp_path / "portdock-calibrations"
+    cell = on_mock_cell(as_calibrated(load_config()), mock_names(KEPT_NAME))
+    write(folder, 30, basis=basis_of(cell))
+    write(folder, 6, shift_m=5e-4, basis=basis_of(cell), seed=1)
+    shown = CliRunner().invoke(app, ["calibrate", "drift"])
+    assert shown.exit_code == 1
+    assert "proposed: tool by" in shown.output
+    accepted = CliRunner().invoke(app, ["calibrate", "drift", "--accept", "tool"])
+    assert accepted.exit_code == 0, accepted.output
+    corrected = on_mock_cell(as_calibrated(load_config()), mock_names(KEPT_NAME))
+    assert corrected.arm.T_flange_tcp != cell.arm.T_flange_tcp
+    assert corrected.scanner.T_flange_scanner == cell.scanner.T_flange_scanner
 
 
 def test_docks_with_other_calibrations_are_not_judged_together(tmp_path: Path) -> None:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from controller.config import SiteConfig, load_config
-from controller.mock_calibrations import CELL, as_calibrated, has_hidden_latency, stands_for
+from controller.mock_calibrations import CELL, as_calibrated, cell_name, has_hidden_latency, stands_for
 from controller.port_files import load_port
 from controller.scenarios import Scenario, draw_scenario
 from drivers.arm.kinematics import MODELS, JointLimits, forward, frames_many, nearest_branch
@@ -81,6 +81,13 @@ def test_cars_come_and_go_and_the_cell_stays() -> None:
     raw = draw_scenario("uncalibrated", SITE, CCS2, 1, CELL)
     assert raw.miscalibration.joints == first.miscalibration.joints
     assert (first.calibrated, raw.calibrated) == (True, False)
+    names = [
+        cell_name(SITE, "nominal", 3, None),
+        cell_name(SITE, "nominal", 3, 3),
+        cell_name(SITE, "uncalibrated", 3, None),
+    ]
+    assert len(set(names)) == 3, "each cell's calibrations are for it alone"
+    assert cell_name(SITE, "blocked", 4, None) == names[0], "the same cell whatever is before it"
 
 
 @pytest.mark.parametrize(
