@@ -79,10 +79,11 @@ def _fitted(places: LevelPlaces, flats: Flats) -> Array:
     motion = np.zeros(8)
     for cap_m in np.repeat(_CAPS_M, _STEPS):
         xy = _moved(places, flats, motion)
-        distance = flats.beyond(places.level, xy)
+        around = flats.around(places.level, xy)
+        distance = around.beyond()
         wrong = np.nan_to_num(np.maximum(distance * places.sign, 0.0))
         pulls = np.flatnonzero((wrong > 0) & (wrong < cap_m))
-        outward = flats.outward(places.level[pulls], xy[pulls])
+        outward = around.outward(pulls)
         by_x, by_y = _columns(places, flats, pulls)
         jacobian = outward[:, :1] * by_x + outward[:, 1:] * by_y
         weight = 1.0 / (np.maximum(wrong[pulls], _SOFT_M) * _SOFT_M)

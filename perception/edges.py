@@ -58,9 +58,10 @@ def edge_rows(matches: Matches, model: PortModel, scale_m: float) -> EdgeRows:
 
 def _rows(model: PortModel, level: NDArray[np.int64], local: Array, of: NDArray[np.int64], *, beyond: bool) -> EdgeRows:
     """Rows of places that lie on the wrong side of their level's edge, within reach."""
-    distance = model.flats.beyond(level, local[:, :2])
+    around = model.flats.around(level, local[:, :2])
+    distance = around.beyond()
     wrong = np.flatnonzero(((distance > 0) if beyond else (distance < 0)) & (np.abs(distance) < REACH_M))
-    outward = model.flats.outward(level[wrong], local[wrong, :2])
+    outward = around.outward(wrong)
     told = np.abs(outward).sum(axis=1) > 0.5
     wrong, outward = wrong[told], np.column_stack([outward[told], np.zeros(int(told.sum()))])
     return EdgeRows(local[wrong], outward, distance[wrong], of[wrong])

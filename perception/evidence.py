@@ -74,9 +74,10 @@ def score(pose: Pose, points: Array, model: PortModel) -> float:
     local = pose.inverse().apply(points)
     misfit = model.front.misfit(local)
     known = ~np.isnan(misfit) & (local[:, 2] < ABOVE_RIM_M)
-    cells = np.unique(np.floor(local[known, :2] / VOTE_CELL_M).astype(np.int64), axis=0, return_inverse=True)[1]
+    cell = np.floor(local[known, :2] / VOTE_CELL_M).astype(np.int64)
+    cell -= cell.min(axis=0, initial=0)
     vote = np.where(np.abs(misfit[known]) < TOLERANCE_M, 1.0, -1.0)
-    total = np.sign(np.bincount(cells.reshape(-1), vote))
+    total = np.sign(np.bincount(cell[:, 0] * (cell[:, 1].max(initial=0) + 1) + cell[:, 1], vote))
     return float(total.sum() * VOTE_CELL_M**2 / max(np.isfinite(model.front.lowest).sum() * CELL_M**2, 1e-9))
 
 

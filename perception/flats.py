@@ -35,8 +35,13 @@ class Flats:
     """(2,) corner of the first cell."""
     heights: Array
     """(L,) z of each level, rising."""
-    distance: NDArray[np.float16]
+    distance: NDArray[np.float32]
     """(L, X, Y) signed distance in millimetres to the level's edge: negative on the flat, NaN beside the port."""
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Cells along x and y."""
+        return self.distance.shape[1], self.distance.shape[2]
 
     def level_at(self, z: Array) -> NDArray[np.int64]:
         """Number of the level nearest to heights (N,); -1 where none is within half the smallest gap."""
@@ -54,36 +59,65 @@ class Flats:
         heights = np.array([self.heights[group == k].mean() for k in range(group[-1] + 1)])
         return Flats(self.low, heights, distance)
 
+    def lenient(self, where: NDArray[np.bool_], by_m: float) -> Flats:
+        """The same, where distances to edges within a mask (X, Y) count only by what they exceed ``by_m``."""
+        less = np.sign(self.distance) * np.maximum(np.abs(self.distance) - np.float32(1e3 * by_m), 0.0)
+        return Flats(self.low, self.heights, np.where(where, less, self.distance).astype(np.float32))
+
     def without(self, heights_m: Sequence[float]) -> Flats:
         """The same, where the levels at these heights tell nothing: NaN all over."""
         silent = near_any(self.heights, heights_m)
-        return Flats(self.low, self.heights, np.where(silent[:, None, None], np.float16(np.nan), self.distance))
+        return Flats(self.low, self.heights, np.where(silent[:, None, None], np.float32(np.nan), self.distance))
 
     def beyond(self, level: NDArray[np.int64], xy: Array) -> Array:
         """Signed distance (N,) from the edges of the levels (N,) at places (N, 2).
 
         NaN beside the port, where the vehicle may be as high as any flat, and on levels that tell nothing.
         """
-        (c00, c01, c10, c11), u, v, inside = self._around(level, xy)
-        near, far = c00 + v * (c01 - c00), c10 + v * (c11 - c10)
-        return np.where(inside, (near + u * (far - near)) / 1e3, np.nan)
+        return self.around(level, xy).beyond()
 
     def outward(self, level: NDArray[np.int64], xy: Array) -> Array:
         """Unit gradient (N, 2) of ``beyond``; 0 out of reach of an edge and beside the port."""
-        (c00, c01, c10, c11), u, v, _ = self._around(level, xy)
-        slope = np.column_stack([(1 - v) * (c10 - c00) + v * (c11 - c01), (1 - u) * (c01 - c00) + u * (c11 - c10)])
-        return np.asarray(np.nan_to_num(slope / np.maximum(np.linalg.norm(slope, axis=1, keepdims=True), 1e-9)))
+        return self.around(level, xy).outward(slice(None))
 
-    def _around(self, level: NDArray[np.int64], xy: Array) -> tuple[list[Array], Array, Array, NDArray[np.bool_]]:
-        """The four cells around each place, millimetres; where between them, 0 to 1; whether it is on the map."""
+    def around(self, level: NDArray[np.int64], xy: Array) -> Around:
+        """What ``beyond`` and ``outward`` rest on, for who wants both of the same places."""
         _, wide, high = self.distance.shape
-        x, y = ((xy[:, k] - self.low[k]) / CELL_M - 0.5 for k in range(2))
-        i, j = np.floor(x).astype(np.int64), np.floor(y).astype(np.int64)
+        at = (xy - (self.low + 0.5 * CELL_M)) * (1.0 / CELL_M)
+        cell = np.floor(at)
+        i, j = cell.astype(np.int64).T
         inside = (i >= 0) & (i < wide - 1) & (j >= 0) & (j < high - 1)
         first = np.where(inside, (level * wide + i) * high + j, 0)
         values = self.distance.ravel()  # one number a cell: several times as fast to gather as three
-        corners = [values.take(first + step).astype(np.float64) for step in (0, 1, high, high + 1)]
-        return corners, x - i, y - j, inside
+        corners = np.stack([values.take(first + step) for step in (0, 1, high, high + 1)])
+        return Around(corners, (at - cell).astype(np.float32), inside)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Around:
+    """Places between the cells of their levels' maps."""
+
+    corners: NDArray[np.float32]
+    """(4, N) millimetres to the edge at the cells around: those of one x first."""
+    between: NDArray[np.float32]
+    """(N, 2) where between them, 0 to 1."""
+    inside: NDArray[np.bool_]
+    """(N,) whether the place is on the map."""
+
+    def beyond(self) -> Array:
+        """Signed distance (N,) in metres; NaN off the map."""
+        c00, c01, c10, c11 = self.corners
+        u, v = self.between.T
+        near, far = c00 + v * (c01 - c00), c10 + v * (c11 - c10)
+        return np.where(self.inside, near + u * (far - near), np.float32(np.nan)) * 1e-3
+
+    def outward(self, which: NDArray[np.int64] | slice) -> Array:
+        """Unit gradient (N, 2) at some of the places."""
+        c00, c01, c10, c11 = self.corners[:, which]
+        u, v = self.between[which].T
+        slope = np.column_stack([(1 - v) * (c10 - c00) + v * (c11 - c01), (1 - u) * (c01 - c00) + u * (c11 - c10)])
+        unit = slope / np.maximum(np.hypot(slope[:, 0], slope[:, 1]), 1e-9)[:, None]
+        return np.asarray(np.nan_to_num(unit), dtype=np.float64)
 
 
 def near_any(heights: NDArray[np.floating[Any]], of_m: Sequence[float]) -> NDArray[np.bool_]:
@@ -100,14 +134,19 @@ def build_flats(vertices: Array, faces: NDArray[np.int64]) -> Flats:
     known = np.isfinite(height)
     flat = known & (upright > _FLAT)
     heights = _levels(height[flat])
-    distance = np.empty((len(heights), *shape), dtype=np.float16)
+    distance = np.empty((len(heights), *shape), dtype=np.float32)
     for k, level in enumerate(heights):
         on = flat & (np.abs(height - level) < _LEVEL_GAP_M / 2)
         signed = (distance_transform_edt(~on) - distance_transform_edt(on)) * CELL_M
         signed -= np.sign(signed) * CELL_M / 2  # the edge lies between the cells on its two sides
         distance[k] = np.clip(signed, -REACH_M, REACH_M) * 1e3
         distance[k][~known] = np.nan
-    return Flats(low, heights, distance)
+    return Flats(low, heights, as_kept(distance).astype(np.float32))
+
+
+def as_kept(distance: NDArray[np.floating[Any]]) -> NDArray[np.float16]:
+    """Distances as they are kept on disk: finer than the cells, in half the room."""
+    return distance.astype(np.float16)
 
 
 def _seen_from_front(

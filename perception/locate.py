@@ -29,6 +29,7 @@ from perception.refine import Refined, refine
 from perception.relief import flat_weights
 from perception.scan import Cloud
 from perception.search import Candidate, search
+from perception.spread import spread
 
 _log = logging.getLogger(__name__)
 
@@ -43,6 +44,8 @@ class LocateSettings:
     """Places kept for each axis."""
     candidates: int = 12
     """Candidates that are aligned."""
+    finalists: int = 4
+    """Candidates that are aligned further before one is chosen."""
     align_points: int = 1500
     """Scan points that align them."""
     threads: int = 2
@@ -134,9 +137,19 @@ def _align_and_rank(
     chosen = _subset(scene, settings.align_points)
     weights = np.append(flat_weights(model.surface) * model.decides, 0.0)
     poses = [candidate.T_prior_port for candidate in candidates[: settings.candidates]]
-    aligned = align(poses, scene.thin_points[chosen], scene.thin_normals[chosen], model, weights)
-    scored = [(score(pose, scene.thin_points, model), pose) for pose in aligned]
-    return sorted(scored, key=lambda entry: -entry[0])
+    points, normals = scene.thin_points[chosen], scene.thin_normals[chosen]
+    ranked = _ranked(align(poses, points, normals, model, weights), scene, model, settings)
+    # Some are still on their way: the best ones go on before the choice is made.
+    best = [pose for _, pose in ranked[: settings.finalists]]
+    again = _ranked(align(best, points, normals, model, weights), scene, model, settings)
+    return sorted([*again, *ranked[settings.finalists :]], key=lambda entry: -entry[0])
+
+
+def _ranked(
+    poses: Sequence[Pose], scene: Scene, model: PortModel, settings: LocateSettings
+) -> list[tuple[float, Pose]]:
+    scores = spread(lambda pose: score(pose, scene.thin_points, model), poses, settings.threads)
+    return sorted(zip(scores, poses, strict=True), key=lambda entry: -entry[0])
 
 
 def _subset(scene: Scene, count: int) -> NDArray[np.int64]:

@@ -54,16 +54,21 @@ def columns(rows: Rows, levels: int) -> tuple[Array, Array]:
     draft = plane * (1.0 - np.abs(n[:, 2])) * np.maximum(-rows.local[:, 2], 0.0)
     shrink = np.einsum("ij,ij->i", rows.local, n)
     speed = (n @ rows.sweep_direction) * rows.sweep
-    flat = np.zeros((len(n), levels + 1))
-    flat[np.arange(len(n)), np.where(plane, rows.level, 0)] = 1.0
     hats = _hats(rows.sweep)
+    knots = hats.shape[1]
+    found = np.zeros((len(n), 4 + levels + 3 * knots))  # filled in place: the matrix is large, and copies cost most
+    for k, column in enumerate((draft, shrink, speed, rows.edge)):
+        found[:, k] = column
+    on_flat = np.flatnonzero(plane & (rows.level > 0))
+    found[on_flat, 3 + rows.level[on_flat]] = 1.0
     side = np.cross(rows.view, rows.sweep_direction)
-    shake = [hats * (n @ direction)[:, None] for direction in (rows.view, rows.sweep_direction, side)]
-    single = np.column_stack([draft, shrink, speed, rows.edge.astype(np.float64)])
+    for k, direction in enumerate((rows.view, rows.sweep_direction, side)):
+        first = 4 + levels + k * knots
+        np.multiply(hats, (n @ direction)[:, None], out=found[:, first : first + knots])
     sigma = np.concatenate(
         [[DRAFT_RAD, SHRINK, SPEED, EDGE_M], np.full(levels, LEVEL_M), np.full(3 * hats.shape[1], VIBRATION_M)]
     )
-    return np.hstack([single, flat[:, 1:], *shake]), sigma
+    return found, sigma
 
 
 def _hats(sweep: Array) -> Array:

@@ -15,7 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from perception.flats import Flats, build_flats, near_any
+from perception.flats import CELL_M as FLAT_CELL_M
+from perception.flats import Flats, as_kept, build_flats, near_any
+from perception.floating import FLOAT_M, Floating, find_floating
 from perception.front_map import FrontMap, build_front_map
 from perception.geometry import Array, Pose
 from perception.mesh_io import checked_mesh
@@ -131,6 +133,18 @@ class PortModel:
         keys = np.hstack([self.surface.points, FACING_M * self.surface.normals])
         return cKDTree(keys, balanced_tree=False, compact_nodes=False)
 
+    @cached_property
+    def floating(self) -> Floating:
+        """The contacts, which sit where they were put and not where the drawing has them."""
+        return find_floating(self.front)
+
+    @cached_property
+    def lenient_flats(self) -> Flats:
+        """``flats`` for looking where edges are contradicted: a contact may be off its place without doing so."""
+        x, y = (self.flats.low[k] + (np.arange(n) + 0.5) * FLAT_CELL_M for k, n in enumerate(self.flats.shape))
+        at = np.column_stack([one.ravel() for one in np.meshgrid(x, y, indexing="ij")])
+        return self.flats.lenient((self.floating.at(at) > 0).reshape(self.flats.shape), FLOAT_M)
+
     def templates_for(self, roll_rad: float) -> Templates:
         """The signed volumes for rolls up to ``roll_rad``; the prepared ones where they fit."""
         if abs(roll_rad - USUAL_ROLL_RAD) < 1e-6:
@@ -174,7 +188,7 @@ def _load(path: Path) -> _Prepared | None:
             maps = (lowest, highest, distinct, archive["feature"], archive["inner"])
             front = FrontMap(archive["front_low"], *maps)
             templates = Templates(archive["rolls"], archive["template_low"], archive["templates"])
-            flats = Flats(archive["flats_low"], archive["flats_heights"], archive["flats"])
+            flats = Flats(archive["flats_low"], archive["flats_heights"], archive["flats"].astype(np.float32))
             return surface, nearest, front, flats, templates
     except FileNotFoundError:
         return None
@@ -203,7 +217,7 @@ def _save(
                 inner=front.inner,
                 flats_low=flats.low,
                 flats_heights=flats.heights,
-                flats=flats.distance,
+                flats=as_kept(flats.distance),
                 rolls=templates.rolls,
                 template_low=templates.low,
                 templates=templates.volumes,

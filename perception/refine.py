@@ -109,12 +109,12 @@ def refine(start: Pose, scene: Scene, model: PortModel, *, threads: int = 2) -> 
             pose = _moved(pose, _step(_equations(pose, matches, model, scale, _gate(round_))))
         except DegenerateCloudError:
             break  # so few points may leave the roll open where all of them do not
-    pose = settle_sideways(pose, everything, model, scale, first=2, points=6_000)
+    pose = settle_sideways(pose, everything, model, scale, first=2)
     final = fit.rounds(pose, everything, scale, last)
-    settled = settle_sideways(final.T_prior_port, everything, model, final.scale_m, first=1, points=6_000)
+    settled = settle_sideways(final.T_prior_port, everything, model, final.scale_m, first=1)
     if settled.angle_to(final.T_prior_port) > _DISPUTE_RAD:
         final = fit.rounds(settled, everything, final.scale_m, last)
-        settled = settle_sideways(final.T_prior_port, everything, model, final.scale_m, first=1, points=6_000)
+        settled = settle_sideways(final.T_prior_port, everything, model, final.scale_m, first=1)
     pose, scale = final.T_prior_port, final.scale_m
     return replace(
         final,
@@ -194,15 +194,17 @@ def _equations(pose: Pose, matches: Matches, model: PortModel, scale: float, gat
     edge_weight = _tukey(edges.beyond, max(_EDGE_GATE_M, gate))
     edge_weight /= _EDGE_NOISE_M * np.maximum(np.abs(edges.beyond), _EDGE_LEAST_M)
     edge_weight *= min(1.0, _EDGES_M**-2 / max(0.5 * float(edge_weight.sum()), 1e-9))
-    planes = np.hstack([matches.normal, np.cross(matches.local, matches.normal)])
+    along, local = np.vstack([matches.normal, edges.outward]), np.vstack([matches.local, edges.local])
+    weight = np.concatenate([weight, edge_weight])
+    weight *= model.floating.shares(local[:, :2], 1.0 - along[:, 2] ** 2, weight)
     return Refined(
         pose,
-        np.vstack([planes, np.hstack([edges.outward, np.cross(edges.local, edges.outward)])]),
+        np.hstack([along, np.cross(local, along)]),
         np.concatenate([matches.distance, edges.beyond]),
-        np.concatenate([weight, edge_weight]),
+        weight,
         np.zeros(6),
-        np.vstack([matches.local, edges.local]),
-        len(planes),
+        local,
+        len(matches.local),
         edges.of,
         scale,
     )
@@ -246,7 +248,7 @@ def _step(current: Refined) -> Array:
     values = np.linalg.eigvalsh(pose_part)
     if values[0] < 1e-6 * max(values[-1], 1e-12):
         raise DegenerateCloudError("the points near the port leave its pose undetermined in at least one direction")
-    gradient = -(current.jacobian * (current.weight * current.distance)[:, None]).sum(axis=0)
+    gradient = -(current.weight * current.distance) @ current.jacobian
     return np.asarray(np.linalg.solve(information, gradient)[:6])
 
 

@@ -10,15 +10,20 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy.fft
-from scipy.ndimage import maximum_filter
+from numpy.typing import NDArray
 
 from perception.estimate import Prior
 from perception.geometry import Array, Pose
 from perception.port_model import PortModel
 from perception.relief import CELL_M, Templates, Volume
+from perception.spread import spread
 
 MARGIN_M = 0.005
 """The search goes this far beyond the prior's bounds, so that a port at the bound is a peak and not a slope."""
+_APART_CELLS = 3
+"""Places no further apart than this along any axis lead alignment to the same pose."""
+_MOST = 20_000
+"""Places that are looked at for distinct ones: the best so many."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -41,16 +46,17 @@ def search(
     reach = _reach(prior)
     spectra, shape = _spectra(templates, reach, threads)
     rolls, low = templates.rolls, templates.low
-    found = list[Candidate]()
-    for axis in axes:
+    steps = (2 * reach / CELL_M).astype(int) + 1
+
+    def along(axis: Array) -> list[Candidate]:
         frame = axis_frame(axis)
-        volume = _occupancy(points @ frame, low - reach, shape)
-        spectrum = scipy.fft.rfftn(volume, workers=threads)
-        steps = (2 * reach / CELL_M).astype(int) + 1
+        spectrum = scipy.fft.rfftn(_occupancy(points @ frame, low - reach, shape))
         score = np.empty((len(rolls), *steps), dtype=np.float32)
         for k, template in enumerate(spectra):
-            score[k] = _inverse_corner(spectrum * template, shape, steps, threads)
-        found += _peaks(score, frame, rolls, reach, prior, keep)
+            score[k] = _inverse_corner(spectrum * template, shape, steps)
+        return _peaks(score, frame, rolls, reach, prior, keep)
+
+    found = [candidate for candidates in spread(along, axes, threads) for candidate in candidates]
     return sorted(found, key=lambda candidate: -candidate.score)
 
 
@@ -77,14 +83,15 @@ def _spectra(templates: Templates, reach: Array, threads: int) -> tuple[list[Arr
     """Conjugate spectra of the templates, and the shape they are padded to, which holds the search range as well."""
     padded = np.array(templates.volumes.shape[1:]) + np.ceil(2 * reach / CELL_M).astype(int) + 1
     x, y, z = (int(scipy.fft.next_fast_len(int(n), real=True)) for n in padded)
-    return [np.conj(scipy.fft.rfftn(volume, s=(x, y, z), workers=threads)) for volume in templates.volumes], (x, y, z)
+    spectra = spread(lambda volume: np.conj(scipy.fft.rfftn(volume, s=(x, y, z))), templates.volumes, threads)
+    return spectra, (x, y, z)
 
 
-def _inverse_corner(spectrum: Array, shape: tuple[int, int, int], steps: Array, threads: int) -> Array:
+def _inverse_corner(spectrum: Array, shape: tuple[int, int, int], steps: Array) -> Array:
     """The first ``steps`` (3,) values of the inverse transform along each axis; the rest is not computed to its end."""
-    along_x = scipy.fft.ifft(spectrum, axis=0, overwrite_x=True, workers=threads)[: steps[0]]
-    along_y = scipy.fft.ifft(along_x, axis=1, workers=threads)[:, : steps[1]]
-    return np.asarray(scipy.fft.irfft(along_y, n=shape[2], axis=2, workers=threads)[..., : steps[2]])
+    along_x = scipy.fft.ifft(spectrum, axis=0, overwrite_x=True)[: steps[0]]
+    along_y = scipy.fft.ifft(along_x, axis=1)[:, : steps[1]]
+    return np.asarray(scipy.fft.irfft(along_y, n=shape[2], axis=2)[..., : steps[2]])
 
 
 def _occupancy(points: Array, low: Array, shape: tuple[int, int, int]) -> Volume:
@@ -95,16 +102,29 @@ def _occupancy(points: Array, low: Array, shape: tuple[int, int, int]) -> Volume
     return np.minimum(counts, 2).astype(np.float32).reshape(shape) * np.float32(0.5)
 
 
+def _apart(where: NDArray[np.int64], value: Array, keep: int) -> list[int]:
+    """Numbers of the best places (N, 3), none within reach of alignment from a better one.
+
+    Not the peaks: on a flat that is larger than the port the right place may lie on the slope of another.
+    """
+    left = np.argsort(-value)[:_MOST]
+    chosen: list[int] = []
+    while len(left) and len(chosen) < keep:
+        chosen.append(int(left[0]))
+        left = left[np.abs(where[left] - where[left[0]]).max(axis=1) > _APART_CELLS]
+    return chosen
+
+
 def _peaks(score: Array, frame: Array, rolls: Array, reach: Array, prior: Prior, keep: int) -> list[Candidate]:
     best_roll = score.argmax(axis=0)
     best = score.max(axis=0)
-    where = np.argwhere((best == maximum_filter(best, 5)) & (best > 0))
+    where = np.argwhere(best > 0)
     offsets = (where * CELL_M - reach) @ frame.T
     allowed = (np.hypot(offsets[:, 0], offsets[:, 1]) < prior.lateral_m + MARGIN_M) & (
         np.abs(offsets[:, 2]) < prior.along_m + MARGIN_M
     )
     where, offsets = where[allowed], offsets[allowed]
-    order = np.argsort(-best[tuple(where.T)])[:keep]
+    order = _apart(where, best[tuple(where.T)], keep)
     candidates = []
     for place, offset in zip(where[order], offsets[order], strict=True):
         at = tuple(place)

@@ -19,35 +19,35 @@ from perception.matching import Measured
 from perception.port_model import PortModel
 
 _PASSES = (
-    (np.deg2rad(np.arange(-16.0, 16.1, 2.0)), 0.0020, 0.0010, 6),
-    (np.deg2rad(np.arange(-1.5, 1.51, 0.5)), 0.0010, 0.0003, 5),
-    (np.deg2rad(np.arange(-0.5, 0.51, 0.125)), 0.0005, 0.0001, 4),
+    (np.deg2rad(np.arange(-16.0, 16.1, 2.0)), 0.0020, 0.0010, 6, 1200),
+    (np.deg2rad(np.arange(-1.5, 1.51, 0.5)), 0.0010, 0.0003, 5, 2500),
+    (np.deg2rad(np.arange(-0.5, 0.51, 0.125)), 0.0005, 0.0001, 4, 4000),
 )
-"""(rolls around the best so far, cap, softness, steps) of each pass. A point further on the wrong side than the cap
-is something else, and says no more than one at that distance."""
+"""(rolls around the best so far, cap, softness, steps, points) of each pass. A point further on the wrong side than the
+cap is something else, and says no more than one at that distance."""
 TELLS_SIGMAS = 5.0
 """Levels nearer to each other than so many standard deviations are one level."""
 _STRIDE_M = 0.001
+_STILL_M = 0.000002
+"""A descent that moves by less has arrived."""
 _NEAR_M = 0.0025
 _VALLEY = 0.1
 """How far up the slopes around the least cost are taken, as a share of their height."""
 
 
-def settle_sideways(
-    start: Pose, measured: Measured, model: PortModel, scale_m: float, *, first: int = 0, points: int = 2500
-) -> Pose:
+def settle_sideways(start: Pose, measured: Measured, model: PortModel, scale_m: float, *, first: int = 0) -> Pose:
     """``start`` (T_prior_port) moved across its axis and rolled to where the least contradicts its edges.
 
     :param scale_m: noise of the scan (1 sigma), which says how far off a level a point on it may lie.
     :param first: the pass to begin with: 0 looks 16 degrees around, 1 and 2 closer.
     """
-    flats = model.flats.merged(TELLS_SIGMAS * scale_m)
+    flats = model.lenient_flats.merged(TELLS_SIGMAS * scale_m)
     places = level_places(start, measured, flats, scale_m)
     if len(places.xy) < 50:
         return start
     at = np.zeros(3)
     for k in range(first, len(_PASSES)):
-        offsets, cap_m, soft_m, steps = _PASSES[k]
+        offsets, cap_m, soft_m, steps, points = _PASSES[k]
         some = (places if k == 0 else _near_edges(places, flats, at)).every(points)
         at = _best(some, flats, at, offsets, _Descent(cap_m, soft_m, steps))
     return start @ Pose.from_rotvec([0.0, 0.0, at[2]], [at[0], at[1], 0.0])
@@ -101,8 +101,8 @@ def _moved(places: LevelPlaces, flats: Flats, at: Array, how: _Descent) -> tuple
     """(cost, place) after a few steps across the axis, at the roll ``at[2]``."""
     best, where = np.inf, at
     for step in range(how.steps + 1):
-        xy = _seen_from(places, at)
-        distance = flats.beyond(places.level, xy)
+        around = flats.around(places.level, _seen_from(places, at))
+        distance = around.beyond()
         wrong = np.nan_to_num(np.maximum(distance * places.sign, 0.0))
         cost = float(np.minimum(wrong, how.cap_m).sum())
         if cost < best:
@@ -111,9 +111,11 @@ def _moved(places: LevelPlaces, flats: Flats, at: Array, how: _Descent) -> tuple
             break
         pulls = np.flatnonzero((wrong > 0) & (wrong < how.cap_m))
         weight = 1.0 / np.maximum(wrong[pulls], how.soft_m)
-        g = flats.outward(places.level[pulls], xy[pulls])
+        g = around.outward(pulls)
         normal = (g * weight[:, None]).T @ g + np.eye(2) * 1e-3 * (weight.sum() + 1.0)
         shift = np.linalg.solve(normal, (g * (weight * distance[pulls])[:, None]).sum(axis=0))
+        if np.abs(shift).max() < _STILL_M:
+            break
         shift *= min(1.0, _STRIDE_M / max(float(np.linalg.norm(shift)), 1e-12))
         c, s = np.cos(at[2]), np.sin(at[2])
         at = at + np.array([c * shift[0] - s * shift[1], s * shift[0] + c * shift[1], 0.0])
