@@ -22,13 +22,13 @@ from perception.errors import DegenerateCloudError, EmptyScanError
 from perception.estimate import PortEstimate, Prior
 from perception.evidence import judge, score
 from perception.gate import Findings, reasons_against, supporting, verdict
-from perception.geometry import Pose
+from perception.geometry import Array, Pose
 from perception.hypotheses import axis_hypotheses
 from perception.port_model import PortModel
 from perception.refine import Refined, refine
 from perception.relief import flat_weights
 from perception.scan import Cloud
-from perception.search import Candidate, search
+from perception.search import search
 from perception.spread import spread
 
 _log = logging.getLogger(__name__)
@@ -49,6 +49,8 @@ class LocateSettings:
     align_points: int = 1500
     """Scan points that align them."""
     threads: int = 2
+    propose: Callable[[Scene, PortModel], Sequence[Pose]] | None = None
+    """A further source of hypotheses: T_prior_port of places worth aligning. With ``places`` 0 the only one."""
     clock: Callable[[], float] = field(default=perf_counter)
 
 
@@ -104,9 +106,9 @@ def _locate_one(cloud: Cloud, model: PortModel, prior: Prior, settings: LocateSe
         timer.lap("crop")
         axes = axis_hypotheses(scene.thin_normals, prior.tilt_rad, settings.axes)
         timer.lap("axes")
-        candidates = search(scene.thin_points, axes, model, prior, keep=settings.places, threads=settings.threads)
+        places = _places(axes, scene, model, prior, settings)
         timer.lap("search")
-        ranked = _align_and_rank(candidates, scene, model, settings)
+        ranked = _align_and_rank(places, scene, model, settings)
         timer.lap("align")
         refined = refine(ranked[0][1], scene, model, threads=settings.threads)
         timer.lap("refine")
@@ -128,17 +130,25 @@ def _with_what_is_there(estimate: PortEstimate, cloud: Cloud, prior: Prior, time
     return replace(estimate, timings_s=timer.done())
 
 
+def _places(axes: Array, scene: Scene, model: PortModel, prior: Prior, settings: LocateSettings) -> list[Pose]:
+    """T_prior_port of the places that are worth aligning."""
+    proposed = [] if settings.propose is None else list(settings.propose(scene, model))
+    if settings.places == 0:
+        return proposed
+    found = search(scene.thin_points, axes, model, prior, keep=settings.places, threads=settings.threads)
+    return [*proposed, *(candidate.T_prior_port for candidate in found[: settings.candidates])]
+
+
 def _align_and_rank(
-    candidates: list[Candidate], scene: Scene, model: PortModel, settings: LocateSettings
+    places: list[Pose], scene: Scene, model: PortModel, settings: LocateSettings
 ) -> list[tuple[float, Pose]]:
     """Aligned poses with their scores, best first. Raises DegenerateCloudError without any candidate."""
-    if not candidates:
+    if not places:
         raise DegenerateCloudError("nothing within the prior's bounds resembles the port")
     chosen = _subset(scene, settings.align_points)
     weights = np.append(flat_weights(model.surface) * model.decides, 0.0)
-    poses = [candidate.T_prior_port for candidate in candidates[: settings.candidates]]
     points, normals = scene.thin_points[chosen], scene.thin_normals[chosen]
-    ranked = _ranked(align(poses, points, normals, model, weights), scene, model, settings)
+    ranked = _ranked(align(places, points, normals, model, weights), scene, model, settings)
     # Some are still on their way: the best ones go on before the choice is made.
     best = [pose for _, pose in ranked[: settings.finalists]]
     again = _ranked(align(best, points, normals, model, weights), scene, model, settings)

@@ -33,7 +33,9 @@ def evaluate_locate(
     ports: Annotated[str, typer.Option(help="bundled ports with commas between; all of them by default")] = "",
     peers: Annotated[str, typer.Option(help="peers with commas between, or all; those not installed are named")] = "",
     peer_scans: Annotated[int, typer.Option(min=1, help="positive scans that peers are run on")] = 40,
-    also: Annotated[str, typer.Option(help="no-prior, auto: the locator without prior, with all models")] = "",
+    also: Annotated[
+        str, typer.Option(help="no-prior; auto: all models; denoised, keypoints, keypoints-alone, fed-back: see docs")
+    ] = "",
     folder: Annotated[Path | None, typer.Option("--dir", help="scans with truth instead of simulated ones")] = None,
     jobs: Annotated[int, typer.Option(min=0, help="processes; 0: one for each core")] = 0,
     as_json: Annotated[bool, typer.Option("--json", help="print the figures as one JSON object")] = False,
@@ -41,6 +43,7 @@ def evaluate_locate(
     """Evaluate the default locator on simulated scans, or on a folder of scans with their truth."""
     from controller.reports.locate_evaluation import write_evaluation_page
     from perception.evaluation import locate_runner
+    from perception.evaluation.locate_solvers import EXTRAS
     from perception.evaluation.locate_write_up import as_values, write_results
 
     names, skipped = _peers(peers)
@@ -49,7 +52,7 @@ def evaluate_locate(
         plan = _simulated(seed, scans, scans if negatives is None else negatives, loose, _tiers(tiers), shapes)
     else:
         plan = _from_folder(folder, seed, shapes)
-    plan = _with_solvers(plan, names, peer_scans, _listed(also, ("no-prior", "auto"), "--also"))
+    plan = _with_solvers(plan, names, peer_scans, _listed(also, EXTRAS, "--also"))
     console = Console(stderr=True)
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     with Progress(*columns, console=console) as progress:

@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 from perception.estimate import PortEstimate
+from perception.evaluation.locate_ablation import VARIANTS
 from perception.evaluation.locate_cases import CaseScan
 from perception.evaluation.locate_peers import PEERS, peer_pose
 from perception.geometry import Array, Pose
@@ -15,8 +16,8 @@ from perception.port_model import PortModel
 PORTDOCK = "portdock"
 NO_PRIOR = "no-prior"
 AUTO = "auto"
-OURS = (PORTDOCK, NO_PRIOR, AUTO)
-"""As usual; without a prior; with all models to choose from."""
+EXTRAS = (NO_PRIOR, AUTO, *VARIANTS)
+"""Without a prior; with all models to choose from; with steps of the published method."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -45,6 +46,8 @@ def solver(name: str, threads: int) -> Solver:
         return lambda scan, asked, models: _answer(locate(scan.cloud, models[asked], None, settings))
     if name == AUTO:
         return lambda scan, _, models: _answer(locate(scan.cloud, list(models.values()), scan.prior, settings))
+    if name in VARIANTS:
+        return lambda scan, asked, models: _answer(VARIANTS[name](scan, models[asked], settings))
     find = PEERS[name].load()
 
     def ask(scan: CaseScan, asked: str, models: Models) -> Answer:

@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
+from perception.evaluation.locate_ablation import VARIANTS
 from perception.evaluation.locate_records import CaseRecord
 from perception.evaluation.locate_solvers import AUTO, PORTDOCK
 from perception.evaluation.locate_statistics import share
@@ -39,6 +40,7 @@ def all_tables(records: Sequence[CaseRecord]) -> list[Table]:
         solver_table(records),
         detail_table(ours, "portdock by tier", "tier", lambda r: r.tier),
         detail_table(ours, "portdock by port", "port", lambda r: r.port),
+        ablation_table(records),
         loose_table(ours),
         port_tier_table(ours),
         negative_table(ours),
@@ -80,6 +82,17 @@ def loose_table(records: Sequence[CaseRecord]) -> Table:
     loose = [r for r in records if r.kind == "loose-part"]
     rows = (("nominal", *_details(summary(loose))),) if loose else ()
     return Table("parts off their CAD", ("tier", *_DETAILS), rows)
+
+
+def ablation_table(records: Sequence[CaseRecord]) -> Table:
+    """The default beside itself with steps of the published method, on the scans that all of them were given."""
+    by_solver = grouped([r for r in records if r.kind == "port"], lambda r: r.solver)
+    names = [name for name in (PORTDOCK, *VARIANTS) if name in by_solver]
+    if len(names) < 2:
+        return Table("published steps", ("with", *_DETAILS), ())
+    common = set.intersection(*({r.case for r in by_solver[name]} for name in names))
+    rows = [(name, *_details(summary([r for r in by_solver[name] if r.case in common]))) for name in names]
+    return Table("published steps", ("with", *_DETAILS), tuple(rows))
 
 
 def _details(s: Summary) -> tuple[str, ...]:

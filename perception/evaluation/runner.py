@@ -9,11 +9,10 @@ from __future__ import annotations
 import ctypes
 import json
 import logging
-import multiprocessing
 import signal
 import sys
 from collections.abc import Callable
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures import as_completed
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -97,23 +96,12 @@ def run(plan: Plan, out: Path, jobs: int, progress: Progress) -> list[Record]:
     done = total - sum(_weight(task) for task in tasks)
     progress(done, total)
     with workers(jobs, 1, _start_worker, (plan.ports,)) as pool:  # one core each: milliseconds are those of one core
-        try:
-            for future in as_completed([pool.submit(_work, task) for task in tasks]):
-                finished, found = future.result()
-                records.append(path, found)
-                done += finished
-                progress(done, total)
-        except BaseException:
-            _abandon(pool)  # leaving the block would wait for every task
-            raise
+        for future in as_completed([pool.submit(_work, task) for task in tasks]):
+            finished, found = future.result()
+            records.append(path, found)
+            done += finished
+            progress(done, total)
     return _sorted(plan, records.read(path))
-
-
-def _abandon(pool: ProcessPoolExecutor) -> None:
-    """Ends an interrupted run at once: what was finished is on disk."""
-    pool.shutdown(wait=False, cancel_futures=True)
-    for worker in multiprocessing.active_children():
-        worker.terminate()
 
 
 def _weight(task: _Task) -> int:

@@ -39,13 +39,11 @@ def locate(cloud: Cloud, model: PortModel, prior: Prior | None, settings: Method
     expected = prior or _facing(cloud)
     try:
         scene = crop(cloud, model, expected)
-        points = subset(scene.thin_points, SCAN_POINTS) * 1e3
-        target = prepare_target(subset(model.surface.points, TARGET_POINTS) * 1e3, settings)
+        points, target = _clouds(scene, model, settings)
         prepared = perf_counter()
         found = _register_twice(points, target, settings)
         registered = perf_counter()
-        pose = found.T_target_test.inverse()
-        T_prior_port = Pose(pose.rotation, pose.translation / 1e3)
+        T_prior_port = _port_pose(found)
         refined = refine(T_prior_port, scene, model)
         judged = _judged(cloud, model, expected, scene, T_prior_port, refined, found)
     except (EmptyScanError, DegenerateCloudError) as error:
@@ -54,6 +52,25 @@ def locate(cloud: Cloud, model: PortModel, prior: Prior | None, settings: Method
     done = perf_counter()
     steps = (("prepare", prepared - begun), ("register", registered - prepared), ("judge", done - registered))
     return replace(judged, timings_s=(*steps, ("total", done - begun)))
+
+
+def hypothesis(scene: Scene, model: PortModel, settings: MethodSettings) -> Pose:
+    """T_prior_port as the method has it, for who judges it by other means.
+
+    Raises EmptyScanError or DegenerateCloudError for a scan without keypoints.
+    """
+    return _port_pose(_register_twice(*_clouds(scene, model, settings), settings))
+
+
+def _clouds(scene: Scene, model: PortModel, settings: MethodSettings) -> tuple[Array, PreparedTarget]:
+    """The scan's points and the port as the target, millimetres."""
+    target = prepare_target(subset(model.surface.points, TARGET_POINTS) * 1e3, settings)
+    return subset(scene.thin_points, SCAN_POINTS) * 1e3, target
+
+
+def _port_pose(found: Registration) -> Pose:
+    pose = found.T_target_test.inverse()
+    return Pose(pose.rotation, pose.translation / 1e3)
 
 
 def _register_twice(points: Array, target: PreparedTarget, settings: MethodSettings) -> Registration:

@@ -43,6 +43,11 @@ def test_what_lies_elsewhere_or_faces_along_the_axis_keeps_its_weight() -> None:
     assert model.floating.shares(xy, np.array([0.0, 1.0]), np.full(2, 1e12)) == pytest.approx([1.0, 1.0])
 
 
+def test_a_scan_that_meets_no_surface_has_no_weights() -> None:
+    empty = np.zeros(0)
+    assert len(port_model("type2").floating.shares(np.zeros((0, 2)), empty, empty)) == 0
+
+
 def test_lenient_edges_are_contradicted_only_by_more_than_the_tolerance() -> None:
     x = (np.arange(81) - 40) * CELL_M
     level = np.repeat(1e3 * np.abs(x)[:, None] - 2.0, 81, axis=1)[None].astype(np.float32)  # a strip of +-2 mm
