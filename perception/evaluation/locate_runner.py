@@ -44,7 +44,7 @@ class LocatePlan:
     peer_scans: int = 40
     """Peers are run on the first so many positive scans."""
     extras: tuple[str, ...] = ()
-    """``no-prior`` and ``auto`` beside the usual call."""
+    """``no-prior``, ``auto`` and variants with published steps, beside the usual call."""
 
     @property
     def all_cases(self) -> tuple[Case, ...]:
@@ -52,8 +52,10 @@ class LocatePlan:
         return (*self.cases, *(entry.case for entry in self.folder))
 
     def solvers_for(self, case: Case) -> tuple[str, ...]:
-        """Who is asked about a case: peers about few, as they are slow; no-prior about nominal positive scans."""
-        extras = [name for name in self.extras if name != NO_PRIOR or (case.positive and case.tier == "nominal")]
+        """Who is asked about a case: peers about few, as they are slow; no-prior about nominal positive scans, variants
+        of the locator about positive ones."""
+        asked = {NO_PRIOR: case.positive and case.tier == "nominal", AUTO: True}
+        extras = [name for name in self.extras if asked.get(name, case.positive)]
         peers = self.peers if case.kind == "port" and case.number < self.peer_scans else ()
         return (PORTDOCK, *extras, *peers)
 

@@ -17,6 +17,7 @@ from perception.evaluation import locate_runner
 from perception.evaluation.locate_cases import (
     MATING,
     NEGATIVE_KINDS,
+    Case,
     make_scan,
     negative_cases,
     positive_cases,
@@ -170,6 +171,14 @@ def test_a_stopped_run_does_only_what_is_missing(tmp_path: Path) -> None:
     ]
     missing = locate_runner._missing(plan, known)
     assert [(task.case.number, task.solvers) for task in missing] == [(1, ("auto",)), (2, ("portdock", "auto"))]
+
+
+def test_variants_are_asked_about_positive_scans_and_no_prior_about_nominal_ones() -> None:
+    plan = LocatePlan(1, (), {}, extras=("no-prior", "auto", "denoised"))
+    nominal, hard = (Case("port", 0, tier, "ccs2", "ccs2") for tier in ("nominal", "hard"))
+    assert plan.solvers_for(nominal) == ("portdock", "no-prior", "auto", "denoised")
+    assert plan.solvers_for(hard) == ("portdock", "auto", "denoised")
+    assert plan.solvers_for(Case("plain", 0, "nominal", "ccs2", "ccs2")) == ("portdock", "auto")
 
 
 def test_a_folder_of_another_seed_is_not_mixed_in(tmp_path: Path) -> None:
