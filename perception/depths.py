@@ -10,6 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from perception.flats import Flats
+from perception.front_map import PLUG_REACH_M
 from perception.geometry import Array, Pose
 from perception.matching import Measured
 
@@ -34,7 +35,8 @@ def depth_dispute(pose: Pose, measured: Measured, flats: Flats, scale_m: float) 
     """
     inverse = pose.inverse()
     local = inverse.apply(measured.points[inverse.rotate(measured.normals)[:, 2] > _FACING])
-    disputes = [_offset(local, flats, level, scale_m) for level in range(len(flats.heights))]
+    told = np.flatnonzero(flats.heights > -PLUG_REACH_M)
+    disputes = [_offset(local, flats, int(level), scale_m) for level in told]
     return max(disputes, key=abs, default=0.0)
 
 
