@@ -13,6 +13,7 @@ from controller.port_models import port_model
 from perception.covariance import BUILT_M
 from perception.depths import depth_dispute
 from perception.evaluation.locate_cases import make_scan, positive_cases
+from perception.front_map import PLUG_REACH_M
 from perception.gate import MAX_DEPTH_DISPUTE_M
 from perception.geometry import Array, Pose
 from perception.locate import locate
@@ -65,6 +66,12 @@ def test_a_flat_that_every_make_has_elsewhere_is_no_dispute() -> None:
     lower = np.where(on_flange, -0.0015, 0.0)
     assert dispute(lower) == pytest.approx(-0.0015, abs=1e-4)
     assert dispute(lower, of=port_model("ccs2")) == pytest.approx(0.0, abs=1e-4)
+
+
+def test_a_floor_that_no_plug_reaches_is_no_dispute() -> None:
+    on_floor = model().surface.points[:, 2] < -PLUG_REACH_M
+    assert on_floor.sum() > 1000
+    assert dispute(np.where(on_floor, -0.0015, 0.0)) == pytest.approx(0.0, abs=1e-4)
 
 
 def test_a_little_of_a_flat_and_what_is_not_even_tell_nothing() -> None:
