@@ -10,10 +10,11 @@ from __future__ import annotations
 import numpy as np
 
 from perception.flats import Flats
-from perception.front_map import PLUG_REACH_M
 from perception.geometry import Array, Pose
 from perception.matching import Measured
 
+PLUG_REACH_M = 0.025
+"""Below this depth no plug touches a port: floors lie there, each make's at its own depth."""
 _FACING = 0.9
 _WITHIN_M = 0.0005
 """A point belongs to a flat if it lies so far within its edge."""

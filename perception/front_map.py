@@ -18,8 +18,6 @@ from perception.flats import near_any
 from perception.geometry import Array
 
 CELL_M = 0.0005
-PLUG_REACH_M = 0.025
-"""Below this depth no plug touches a port: floors lie there, each make's at its own depth."""
 TOLERANCE_M = 0.001
 _CORE_CELLS = 14
 _FEATURE_AREA_M2 = (4e-6, 4e-4)
@@ -183,7 +181,7 @@ def _features(height: Array) -> NDArray[np.int16]:
         patches, found = label(step == level)
         areas = np.bincount(patches.reshape(-1), minlength=found + 1) * CELL_M**2
         for k in range(1, found + 1):
-            if _FEATURE_AREA_M2[0] < areas[k] < _FEATURE_AREA_M2[1] and level * TOLERANCE_M > -PLUG_REACH_M:
+            if _FEATURE_AREA_M2[0] < areas[k] < _FEATURE_AREA_M2[1]:
                 core = binary_erosion(patches == k, np.ones((3, 3)))
                 if core.sum() * CELL_M**2 > 1e-6:
                     count += 1

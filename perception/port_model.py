@@ -27,7 +27,7 @@ from perception.surface import Surface, visible_surface
 
 _log = logging.getLogger(__name__)
 
-_VERSION = "20"
+_VERSION = "21"
 """Part of the cache key: raise it when the preparation changes."""
 SPACING_M = 0.0012
 EDGE_SPACING_M = 0.0005

@@ -11,9 +11,8 @@ import pytest
 from controller.port_files import load_port
 from controller.port_models import port_model
 from perception.covariance import BUILT_M
-from perception.depths import depth_dispute
+from perception.depths import PLUG_REACH_M, depth_dispute
 from perception.evaluation.locate_cases import make_scan, positive_cases
-from perception.front_map import PLUG_REACH_M
 from perception.gate import MAX_DEPTH_DISPUTE_M
 from perception.geometry import Array, Pose
 from perception.locate import locate

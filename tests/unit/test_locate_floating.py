@@ -9,7 +9,6 @@ from controller.port_files import bundled_ports, load_port
 from controller.port_models import port_model
 from perception.flats import CELL_M, Flats
 from perception.floating import FLOAT_M
-from perception.front_map import PLUG_REACH_M
 
 
 @pytest.mark.parametrize("name", bundled_ports())
@@ -23,14 +22,6 @@ def test_every_free_standing_contact_floats_and_nothing_else_does(name: str) -> 
     if model.front.bores == 0:
         seen = [model.front.feature[_cell(model.front.low, place)] > 0 for place in contacts]
         assert (numbers[np.array(seen)] > 0).all()
-
-
-@pytest.mark.parametrize("name", bundled_ports())
-def test_pieces_of_a_floor_that_no_plug_reaches_are_no_contacts(name: str) -> None:
-    front = port_model(name).front
-    assert front.features > 0
-    for k in range(1, front.features + 1):
-        assert np.median(front.highest[front.feature == k]) > -PLUG_REACH_M
 
 
 def test_points_on_one_contact_say_no_more_than_where_it_may_be() -> None:
