@@ -13,8 +13,8 @@ from perception.flats import Flats
 from perception.geometry import Array, Pose
 from perception.matching import Measured
 
-PLUG_REACH_M = 0.025
-"""Below this depth no plug touches a port: floors lie there, each make's at its own depth."""
+FLOOR_M = 0.025
+"""Flats deeper than this below the rim are floors, each make's at its own depth; contacts end far above them."""
 _FACING = 0.9
 _WITHIN_M = 0.0005
 """A point belongs to a flat if it lies so far within its edge."""
@@ -36,7 +36,7 @@ def depth_dispute(pose: Pose, measured: Measured, flats: Flats, scale_m: float) 
     """
     inverse = pose.inverse()
     local = inverse.apply(measured.points[inverse.rotate(measured.normals)[:, 2] > _FACING])
-    told = np.flatnonzero(flats.heights > -PLUG_REACH_M)
+    told = np.flatnonzero(flats.heights > -FLOOR_M)
     disputes = [_offset(local, flats, int(level), scale_m) for level in told]
     return max(disputes, key=abs, default=0.0)
 

@@ -54,7 +54,7 @@ def search(
         score = np.empty((len(rolls), *steps), dtype=np.float32)
         for k, template in enumerate(spectra):
             score[k] = _inverse_corner(spectrum * template, shape, steps)
-        return _peaks(score, frame, rolls, reach, prior, keep)
+        return _best_places(score, frame, rolls, reach, prior, keep)
 
     found = [candidate for candidates in spread(along, axes, threads) for candidate in candidates]
     return sorted(found, key=lambda candidate: -candidate.score)
@@ -115,7 +115,7 @@ def _apart(where: NDArray[np.int64], value: Array, keep: int) -> list[int]:
     return chosen
 
 
-def _peaks(score: Array, frame: Array, rolls: Array, reach: Array, prior: Prior, keep: int) -> list[Candidate]:
+def _best_places(score: Array, frame: Array, rolls: Array, reach: Array, prior: Prior, keep: int) -> list[Candidate]:
     best_roll = score.argmax(axis=0)
     best = score.max(axis=0)
     where = np.argwhere(best > 0)

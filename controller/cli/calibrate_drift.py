@@ -44,7 +44,7 @@ def drift(
     site = load_config(config)
     folder = Path(site.calibration.folder)
     logged = read_docks(folder)
-    mocks = _mocks(scenario, mock_cell, logged)
+    mocks = _mocks(site, scenario, mock_cell, logged)
     if not logged and accept is not None:
         raise InputError(f"there are no docks in {folder / NAME}: nothing is proposed", remedy="Dock some times first.")
     if not logged:
@@ -73,10 +73,10 @@ def drift(
         raise typer.Exit(1)
 
 
-def _mocks(scenario: str, mock_cell: int | None, logged: Sequence[LoggedDock]) -> DeviceNames | None:
+def _mocks(site: SiteConfig, scenario: str, mock_cell: int | None, logged: Sequence[LoggedDock]) -> DeviceNames | None:
     """The mock cell that docked, None for the site's own devices."""
     if mock_cell is not None:
-        return mock_names(cell_name(load_config(), scenario, mock_cell, mock_cell))
+        return mock_names(cell_name(site, scenario, mock_cell, mock_cell))
     return mock_names(KEPT_NAME) if logged and logged[-1].basis.startswith(KEPT_NAME) else None
 
 

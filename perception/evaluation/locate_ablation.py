@@ -9,8 +9,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 
-import numpy as np
-
 from perception.crop import Scene
 from perception.errors import PortdockError
 from perception.estimate import PortEstimate
@@ -20,15 +18,15 @@ from perception.locate import LocateSettings, locate
 from perception.port_model import PortModel
 from perception.published import clouds
 from perception.published.denoise import keep_mask, noise_statistics
+from perception.published.dense import subset
 from perception.published.kdtree import AdaptiveKDTree
-from perception.published.locating import hypothesis
+from perception.published.locating import SCAN_POINTS, TARGET_POINTS, hypothesis
 from perception.published.pipeline import register
 from perception.published.profiles import FAITHFUL, ROBUST
 from perception.published.target import prepare_target
 from perception.scan import Cloud
 
 Variant = Callable[[CaseScan, PortModel, LocateSettings], PortEstimate]
-_FEEDBACK_POINTS = 10_000
 
 
 def _denoised(scan: CaseScan, model: PortModel, settings: LocateSettings) -> PortEstimate:
@@ -87,9 +85,8 @@ def _kappa_of_the_loss(scan: CaseScan, model: PortModel, found: PortEstimate) ->
     local: Array = found.T_ref_port.inverse().apply(scan.cloud.points)
     low, high = model.size
     near = local[((local > low - 0.01) & (local < high + 0.01)).all(axis=1)]
-    some = near[np.unique(np.linspace(0, len(near) - 1, _FEEDBACK_POINTS).astype(np.int64))] if len(near) else near
     try:
-        target = prepare_target(model.surface.points[:: max(1, len(model.surface) // _FEEDBACK_POINTS)] * 1e3, FAITHFUL)
-        return register(some * 1e3, target, FAITHFUL).rounds[-1].kappa
+        target = prepare_target(subset(model.surface.points, TARGET_POINTS) * 1e3, FAITHFUL)
+        return register(subset(near, SCAN_POINTS) * 1e3, target, FAITHFUL).rounds[-1].kappa
     except PortdockError:
         return None

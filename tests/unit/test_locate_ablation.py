@@ -19,6 +19,7 @@ from perception.evaluation.locate_solvers import PORTDOCK
 from perception.evaluation.locate_tables import ablation_table
 from perception.evaluation.processes import workers
 from perception.locate import LocateSettings
+from perception.published.profiles import FAITHFUL
 from perception.scan import Cloud
 
 SHAPES = {name: load_port(name).shape for name in bundled_ports()}
@@ -67,13 +68,21 @@ def test_what_is_accepted_is_not_looked_at_again(scan: CaseScan, monkeypatch: py
     assert VARIANTS["fed-back"](scan, port_model("ccs2"), LocateSettings()).accepted
 
 
-def test_what_is_refused_is_cleaned_by_the_losss_kappa(scan: CaseScan, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_is_refused_is_cleaned_by_the_losss_kappa_and_looked_at_again(
+    scan: CaseScan, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    right = VARIANTS["fed-back"](scan, port_model("ccs2"), LocateSettings())
+    answers = [replace(right, accepted=False), right]
     kappas: list[float] = []
+    monkeypatch.setattr(locate_ablation, "locate", lambda *_: answers.pop(0))
     monkeypatch.setattr(locate_ablation, "cleaned", lambda cloud, kappa: (kappas.append(kappa), cloud)[1])
-    plain = make_scan(Case("plain", 0, "nominal", "ccs2", "ccs2"), 5, SHAPES)
-    assert not VARIANTS["fed-back"](plain, port_model("ccs2"), LocateSettings()).accepted
-    assert len(kappas) <= 1
-    empty = replace(plain, cloud=Cloud(plain.cloud.points[:200] + 5.0))
+    assert VARIANTS["fed-back"](scan, port_model("ccs2"), LocateSettings()) is right
+    (kappa,) = kappas
+    assert 0.0 < kappa <= FAITHFUL.feedback.kappa_0
+
+
+def test_a_refused_scan_without_points_at_the_port_stays_refused(scan: CaseScan) -> None:
+    empty = replace(scan, cloud=Cloud(scan.cloud.points[:200] + 5.0))
     assert not VARIANTS["fed-back"](empty, port_model("ccs2"), LocateSettings()).accepted
 
 

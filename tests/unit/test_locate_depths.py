@@ -11,7 +11,7 @@ import pytest
 from controller.port_files import load_port
 from controller.port_models import port_model
 from perception.covariance import BUILT_M
-from perception.depths import PLUG_REACH_M, depth_dispute
+from perception.depths import FLOOR_M, depth_dispute
 from perception.evaluation.locate_cases import make_scan, positive_cases
 from perception.gate import MAX_DEPTH_DISPUTE_M
 from perception.geometry import Array, Pose
@@ -67,8 +67,8 @@ def test_a_flat_that_every_make_has_elsewhere_is_no_dispute() -> None:
     assert dispute(lower, of=port_model("ccs2")) == pytest.approx(0.0, abs=1e-4)
 
 
-def test_a_floor_that_no_plug_reaches_is_no_dispute() -> None:
-    on_floor = model().surface.points[:, 2] < -PLUG_REACH_M
+def test_how_deep_a_floor_lies_is_no_dispute() -> None:
+    on_floor = model().surface.points[:, 2] < -FLOOR_M
     assert on_floor.sum() > 1000
     assert dispute(np.where(on_floor, -0.0015, 0.0)) == pytest.approx(0.0, abs=1e-4)
 
