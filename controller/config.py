@@ -86,9 +86,9 @@ class ScanConfig(Section):
 class MotionConfig(Section):
     """Speeds and accelerations in free space."""
 
-    joint_speed_deg_s: Annotated[float, Field(gt=0, le=90)] = 40.0
+    joint_speed_deg_s: Annotated[float, Field(gt=0, le=85)] = 40.0
     """Of the fastest joint on the way to staging."""
-    joint_acceleration_deg_s2: Annotated[float, Field(gt=0, le=400)] = 80.0
+    joint_acceleration_deg_s2: Annotated[float, Field(gt=0, le=170)] = 80.0
     """Of the fastest joint."""
     linear_speed_mm_s: Annotated[float, Field(gt=0, le=250)] = 80.0
     """Of the tool on straight ways in free space."""

@@ -105,6 +105,12 @@ class MockCell:
         """Stop a mock's process as it is: its wire stays open and silent. ``ur``, ``scanner`` or ``charger``."""
         self._process(name).send_signal(signal.SIGSTOP)
 
+    def park(self, T_base_port: Pose) -> None:
+        """The car leaves and another one parks, where its port is at ``T_base_port``; the plug must be out."""
+        board = Blackboard.attach(self._folder)
+        board.put_car(_vector(T_base_port))
+        board.close()
+
     def press_estop(self, pressed: bool) -> None:
         """The cell's emergency stop circuit."""
         board = Blackboard.attach(self._folder)

@@ -88,10 +88,7 @@ def draw_scenario(name: str, config: SiteConfig, port: PortDescription, seed: in
     Raises ConfigError for an unknown name.
     """
     check_name(name)
-    rng = np.random.default_rng([seed, 1])
-    offset_m = rng.uniform(-1.0, 1.0, 3) * _parking_m(config)
-    turn_rad = np.deg2rad(rng.uniform(-1.0, 1.0, 3) * [4.0, 4.0, 3.0])
-    T_base_port = config.port.T_base_port.pose @ Pose.from_rotvec(turn_rad, offset_m)
+    T_base_port = draw_parking(config, np.random.default_rng([seed, 1]))
     kept = is_kept(config, name, cell)
     number = CELL if kept else seed if cell is None else cell
     drawn = _draw_uncalibrated if kept or name == "uncalibrated" else _draw_miscalibration
@@ -105,6 +102,13 @@ def draw_scenario(name: str, config: SiteConfig, port: PortDescription, seed: in
             return replace(nominal, blocked_depth_m=min(BLOCKED_DEPTH_M, port.mated_depth_m / 2.0))
         case _:
             return nominal
+
+
+def draw_parking(config: SiteConfig, rng: np.random.Generator) -> Pose:
+    """T_base_port of a car that has just parked."""
+    offset_m = rng.uniform(-1.0, 1.0, 3) * _parking_m(config)
+    turn_rad = np.deg2rad(rng.uniform(-1.0, 1.0, 3) * [4.0, 4.0, 3.0])
+    return config.port.T_base_port.pose @ Pose.from_rotvec(turn_rad, offset_m)
 
 
 def check_name(scenario: str) -> None:

@@ -113,7 +113,8 @@ def _await_arm(task: Task, patience_s: float) -> None:
 
 
 def _await_charger(task: Task, patience_s: float) -> None:
-    """The charger lets us move. What it latched when it lost the robot is reset only by an operator's request."""
+    """The charger lets us move. What it latched when it lost the robot, or when its emergency stop was pressed, is reset
+    only by an operator's request."""
     cell = task.cell
     if task.now.goal in (Goal.RESET, Goal.UNDOCK) and not cell.charger_says(_permits):
         cell.do(AskCharger(ChargerRequest.RESET_FAULT))
@@ -122,11 +123,13 @@ def _await_charger(task: Task, patience_s: float) -> None:
     status = cell.charger_status()
     if status is not None and status.state is ChargerState.FAULT:
         raise MissionFault(FaultCode.CHARGER_FAULT, f"charger fault code {status.fault_code}")
+    if status is not None and status.state is ChargerState.ESTOP:
+        raise MissionFault(FaultCode.EMERGENCY_STOP, "released at the charger, which has not been reset since")
     raise MissionFault(FaultCode.CHARGER_FAULT, "the charger inhibits motion although it gets our heartbeat")
 
 
 def _permits(status: ChargerStatus) -> bool:
-    return not status.motion_inhibit and status.state is not ChargerState.FAULT
+    return not status.motion_inhibit and status.state not in (ChargerState.FAULT, ChargerState.ESTOP)
 
 
 def _ready_arm(state: ArmState | None) -> bool:

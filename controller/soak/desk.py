@@ -22,6 +22,8 @@ class SoakDesk:
     repair: Callable[[], None]
     """Removes what troubled the mission: what an operator does before a reset."""
     enough: Callable[[], bool]
+    begins: Callable[[], None] = lambda: None
+    """Told that a mission is about to begin: the plug is out."""
     pending: Goal | None = Goal.CYCLE
     leaving: bool = False
     given_up: str = ""
@@ -34,6 +36,8 @@ class SoakDesk:
         goal, self.pending = self.pending, None
         assert goal is not None
         self._doing = goal
+        if goal is Goal.CYCLE:
+            self.begins()
         return goal
 
     def answered(self, outcome: Outcome) -> None:

@@ -21,12 +21,13 @@ from controller.mission import Mission
 from controller.mock_calibrations import cell_name
 from controller.mock_cell import MockCell
 from controller.port_files import load_port
-from controller.scenarios import draw_scenario
+from controller.scenarios import draw_parking, draw_scenario
 from controller.soak.desk import SoakDesk
 from controller.soak.faults import NOTHING, Trouble, draw
 from controller.soak.figures import Footprint, Growth, growth
 from controller.soak.operator import power_on
 from drivers.base import Clock
+from perception.geometry import Pose
 
 log = logging.getLogger(__name__)
 
@@ -104,7 +105,7 @@ def run_soak(config: SiteConfig, plan: Plan, folder: Path, clock: Clock, tell: C
 
 
 class _World:
-    """One car, one cell of mocks, some missions."""
+    """One cell of mocks and some missions, each with the car parked elsewhere."""
 
     def __init__(
         self,
@@ -148,11 +149,18 @@ class _World:
                 cell.repair()
                 power_on(cell.config.arm.host)
 
-            desk = SoakDesk(left, self._ended, repair, lambda: self._clock.now_s() > plan.end_s)
+            desk = SoakDesk(
+                left, self._ended, repair, lambda: self._clock.now_s() > plan.end_s, lambda: cell.park(self._parked())
+            )
             self._draw()
             mission.serve(desk)
             if desk.given_up:
                 self._soak.given_up.append(f"world {self._number}: {desk.given_up}")
+
+    def _parked(self) -> Pose:
+        """T_base_port of the next mission's car."""
+        rng = np.random.default_rng([self._plan.seed, len(self._soak.lines), 3])
+        return draw_parking(self._site, rng)
 
     def _draw(self) -> None:
         self._trouble, self._state = draw(self._rng, self._plan.fault_share)

@@ -1,7 +1,7 @@
 """The mock world seen by the laser: profiles ray-cast from where the arm truly was at the moment of exposure.
 
 The vehicle, its paint and its inlet within moulding tolerance come from the world's seed: the controller's port model
-is the drawing, not this part. A profile waits until the arm mock has published its pose for that very time.
+is the drawing, not this part; all cars of one world are this one, parked elsewhere. A profile waits until the arm mock has published its pose for that very time.
 """
 
 from __future__ import annotations
@@ -47,7 +47,6 @@ class VehicleSeen:
         mount = self.spec.T_flange_coarse if coarse else self.spec.T_flange_scanner
         if mount is None:
             raise ValueError(f"the world in {folder} has no second scanner")
-        self._T_port_base = self.spec.port_pose.inverse()
         self._T_flange_scanner = Pose.from_vector(mount)
 
     @property
@@ -58,7 +57,11 @@ class VehicleSeen:
     def T_port_scanner(self, time_s: float) -> Pose | None:
         """Where the scanner was; None as long as the arm mock has not published its pose for that time."""
         matrix = self.board.arm_pose_at(time_s)
-        return None if matrix is None else self._T_port_base @ Pose.from_matrix(matrix) @ self._T_flange_scanner
+        if matrix is None:
+            return None
+        parked = self.board.car()
+        T_base_port = self.spec.port_pose if parked is None else Pose.from_vector(parked)
+        return T_base_port.inverse() @ Pose.from_matrix(matrix) @ self._T_flange_scanner
 
 
 class WorldSource:

@@ -20,7 +20,7 @@ class PortEnvironment:
     def __init__(self, world: WorldSpec, board: Blackboard) -> None:
         self._board = board
         self._T_flange_tcp = matrix_of(world.T_flange_tcp)
-        self._T_port_base = inverse_of(matrix_of(world.T_base_port))
+        self._T_port_base, self._cars = inverse_of(matrix_of(world.T_base_port)), 0
         self._port = contact.Port(
             T_port_tcp=Pose.from_vector(world.T_port_tcp),
             exists=world.panel == "port",
@@ -36,6 +36,7 @@ class PortEnvironment:
 
     def step(self, T_base_flange: Array, dt: float) -> Array:
         """Wrench (6,) on the plug at its true TCP, base axes; publishes the plug's state."""
+        self._see_next_car()
         T_port_tcp = self._T_port_base @ T_base_flange @ self._T_flange_tcp
         if float(np.abs(T_port_tcp[:3, 3] - self._home).max()) > FAR_M:
             self._state = contact.ContactState()
@@ -45,3 +46,11 @@ class PortEnvironment:
         self._board.put_plug(told)
         R = self._T_port_base[:3, :3].T
         return np.concatenate([R @ wrench[:3], R @ wrench[3:]])
+
+    def _see_next_car(self) -> None:
+        """Another one may have parked since the last step."""
+        cars = self._board.cars()
+        T_base_port = self._board.car() if cars != self._cars else None
+        if T_base_port is not None:
+            self._cars, self._T_port_base = cars, inverse_of(matrix_of(T_base_port))
+            self._state = contact.ContactState()

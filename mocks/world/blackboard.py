@@ -1,8 +1,8 @@
 """The state that the mock processes share: a memory-mapped file ``blackboard`` in the run's folder.
 
 The arm mock publishes where the flange and the plug are, the charger mock whether the plug is locked and whether the
-E-stop is pressed, the scanner mock how many sweeps it has started; each reads the others' sections. It stands for
-what real devices share by being in one place, and for one clock, so nothing in it travels over a wire.
+E-stop is pressed, the scanner mock how many sweeps it has started, whoever runs the world where the next car has
+parked; each reads the others' sections. It stands for what real devices share by being in one place, and for one clock, so nothing in it travels over a wire.
 
 Each section is a short ring of records with one writer. A record carries its sequence number and a CRC: a reader
 takes the newest record whose CRC fits, so it never sees a half-written value, even when the writer was killed.
@@ -120,6 +120,7 @@ class Blackboard:
         self._estop = _Section(self._memory, self._lock.end, "<d", _SLOTS)
         self._sweep = _Section(self._memory, self._estop.end, "<d", _SLOTS)
         self._edge = _Section(self._memory, self._sweep.end, "<dd", _EDGE_SLOTS)
+        self._car = _Section(self._memory, self._edge.end, "<6d", _SLOTS)
 
     @staticmethod
     def create(folder: Path, time_scale: float = 1.0, clock_s: Callable[[], float] = time.monotonic) -> Blackboard:
@@ -231,6 +232,21 @@ class Blackboard:
     def sweep(self) -> int:
         """How many sweeps the scanner has started."""
         return int((self._sweep.last() or (0.0,))[0])
+
+
+    # --- car: written by whoever runs the world ------------------------------------------------------------------
+
+    def put_car(self, T_base_port: tuple[float, ...]) -> None:
+        """Another car has parked: its port's pose as a vector (6,), metres and rotation vector in radians."""
+        self._car.put(*T_base_port)
+
+    def cars(self) -> int:
+        """How many have come since the world began; 0: the one of ``world.json`` stands there."""
+        return self._car.newest()
+
+    def car(self) -> tuple[float, ...] | None:
+        """Where the last one's port is, as ``put_car`` was told; None while the first car stands there."""
+        return self._car.last()
 
 
 _ARM_LAYOUT = "<13d"
