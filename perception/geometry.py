@@ -47,7 +47,8 @@ class Pose:
         v = np.asarray(vector, dtype=np.float64)
         if v.shape != (6,):
             raise ValueError("a pose vector has six entries")
-        return Pose(Rotation.from_rotvec(v[3:]).as_matrix(), v[:3].copy())
+        rotation = np.array(Rotation.from_rotvec(v[3:]).as_matrix())  # a copy: scipy's is a view that keeps five objects
+        return Pose(rotation, v[:3].copy())
 
     @staticmethod
     def from_rotvec(rotvec: ArrayLike, translation: ArrayLike = (0.0, 0.0, 0.0)) -> Pose:

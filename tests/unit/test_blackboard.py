@@ -131,3 +131,14 @@ def test_a_file_that_is_no_blackboard_is_refused(tmp_path: Path) -> None:
     (tmp_path / "blackboard").write_bytes(bytes(4096))
     with pytest.raises(ValueError, match="not a blackboard"):
         Blackboard.attach(tmp_path)
+
+
+def test_the_next_car_is_known_by_its_number_and_its_place(tmp_path: Path) -> None:
+    board, other = Blackboard.create(tmp_path), Blackboard.attach(tmp_path)
+    assert (other.cars(), other.car()) == (0, None)
+    for car in range(1, 40):  # more than the ring holds
+        board.put_car((0.9, 0.1, 0.4, 0.0, 0.0, 0.01 * car))
+        assert (other.cars(), other.car()) == (car, (0.9, 0.1, 0.4, 0.0, 0.0, 0.01 * car))
+    board.put_arm(1.0, np.eye(4))
+    board.put_edge(1.0, 2)
+    assert other.cars() == 39 and other.latest_arm() is not None, "its section is no other's"

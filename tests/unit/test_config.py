@@ -12,6 +12,7 @@ from controller.config import as_yaml, load_config, parse_config
 from controller.config_keys import json_schema, keys, listing
 from controller.config_layers import layers
 from controller.config_section import ConfigError
+from drivers.arm.settings import MotionCaps
 
 
 def written(tmp_path: Path, text: str) -> Path:
@@ -50,7 +51,7 @@ def test_an_unknown_section_is_refused_and_the_nearest_named(tmp_path: Path) -> 
     [
         ("insertion: {push_force_n: 400}", "insertion.push_force_n is 400 N", "<= 100 N"),
         ("scan: {speed_mm_s: 0}", "scan.speed_mm_s is 0 mm/s", "> 0 mm/s"),
-        ("motion: {joint_acceleration_deg_s2: 999}", "is 999 deg/s^2", "<= 400 deg/s^2"),
+        ("motion: {joint_acceleration_deg_s2: 999}", "is 999 deg/s^2", "<= 170 deg/s^2"),
     ],
 )
 def test_a_value_out_of_bounds_names_bound_and_unit(tmp_path: Path, text: str, cause: str, remedy: str) -> None:
@@ -99,6 +100,19 @@ def test_every_quantity_is_bounded() -> None:
     free |= {"joint_min_deg", "joint_max_deg", "a_mm", "d_mm", "zeros_deg"}  # bounded item by item
     open_ended = [key.name for key in keys() if key.unit and not key.bounds and key.name.rpartition(".")[2] not in free]
     assert open_ended == []
+
+
+def test_no_speed_that_a_site_may_ask_for_is_refused_by_the_arms_driver() -> None:
+    largest = {"joint_speed_deg_s": 85.0, "joint_acceleration_deg_s2": 170.0}
+    largest |= {"linear_speed_mm_s": 250.0, "approach_speed_mm_s": 100.0, "acceleration_mm_s2": 2000.0}
+    bounds = {key.name: key.bounds for key in keys()}
+    for name, value in largest.items():
+        assert f"{value:g}" in bounds[f"motion.{name}"]
+    caps = MotionCaps()
+    assert np.deg2rad(largest["joint_speed_deg_s"]) <= caps.joint_speed_rad_s
+    assert np.deg2rad(largest["joint_acceleration_deg_s2"]) <= caps.joint_acceleration_rad_s2
+    assert largest["linear_speed_mm_s"] <= caps.tcp_speed_m_s * 1000.0
+    assert largest["acceleration_mm_s2"] <= caps.tcp_acceleration_m_s2 * 1000.0
 
 
 def test_the_listing_names_the_origin_of_each_value_and_is_itself_a_site_file(tmp_path: Path) -> None:

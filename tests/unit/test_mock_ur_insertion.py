@@ -104,3 +104,16 @@ def test_three_hundred_insertions_end_as_predicted(tmp_path) -> None:
     results = _campaign(Blackboard.create(tmp_path), 300, spread=1.12)
     _judge(results)
     assert 0.3 < sum(predicted for predicted, _, _ in results) / len(results) < 0.7
+
+
+def test_when_another_car_parks_the_plug_meets_its_port_and_not_the_one_before(tmp_path: Path) -> None:
+    board, rng = Blackboard.create(tmp_path), np.random.default_rng(4)
+    arm = _arm(board, Pose.identity(), rng, None)
+    aside = T_BASE_PORT @ Pose.from_rotvec([0.0, 0.0, 0.0], [0.02, 0.0, 0.0])
+    board.put_car(tuple(aside.vector))
+    _push(arm, board)
+    assert not board.plug().seated and board.plug().lateral_m == pytest.approx(0.02, abs=0.003)
+    board.put_car(tuple(T_BASE_PORT.vector))
+    arm = _arm(board, Pose.identity(), rng, None)
+    _push(arm, board)
+    assert board.plug().seated

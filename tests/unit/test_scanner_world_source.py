@@ -108,3 +108,19 @@ def test_glare_blinds_the_first_sweeps_only_and_sweeps_are_counted(tmp_path: Pat
         assert line is not None
         seen.append(int((np.abs(line[:, 0]) < 0.04).sum()))
     assert seen[0] < 0.1 * seen[1]
+
+
+def test_another_car_is_seen_where_it_has_parked(tmp_path: Path) -> None:
+    optics, board = source(tmp_path, spec(profile_noise_m=0.0))
+    board.put_arm(0.0, flange(FACING).matrix)
+    board.put_arm(1.0, flange(FACING).matrix)
+    here = line_at(optics, 0.5)
+    board.put_car(tuple(float(v) for v in (T_BASE_PORT @ _OUT).vector))
+    there = line_at(optics, 0.5)
+    assert here is not None and there is not None
+    nearer_m = np.interp(np.linspace(-0.05, 0.05, 200), *here.T) - np.interp(np.linspace(-0.05, 0.05, 200), *there.T)
+    assert float(np.median(nearer_m)) == pytest.approx(0.02, abs=0.0005)
+
+
+_OUT = Pose.from_rotvec([0.0, 0.0, 0.0], [0.0, 0.0, 0.02])
+"""The car 20 mm nearer on its port's axis."""

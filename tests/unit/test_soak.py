@@ -90,3 +90,18 @@ def test_a_blocked_port_is_an_outcome_in_ready_and_needs_no_reset() -> None:
     d.take()
     d.answered(Outcome("intervention-needed", Fault(FaultCode.INSERTION_BLOCKED)))
     assert d.pending is Goal.CYCLE
+
+
+def test_a_car_parks_before_each_mission_and_never_while_a_plug_may_be_in() -> None:
+    parked: list[Goal | None] = []
+    d = SoakDesk(2, lambda outcome: None, lambda: None, lambda: False)
+    d.begins = lambda: parked.append(d._doing)
+    for answer in (
+        Outcome.of(Fault(FaultCode.ABORTED)),
+        Outcome.of(Fault(FaultCode.PLUG_INSERTED_AT_START)),
+        Outcome("undocked"),
+        Outcome("charged"),
+    ):
+        d.take()
+        d.answered(answer)
+    assert parked == [Goal.CYCLE, Goal.CYCLE]

@@ -15,7 +15,7 @@ from controller.faults import FaultCode, Outcome
 from controller.planning import FACING
 from controller.states import State
 from controller.task import Goal
-from drivers.base import ChargerRequest, Heartbeat, LinkOpenError, PlugLock, Proximity, SafetyMode
+from drivers.base import ChargerRequest, ChargerState, Heartbeat, LinkOpenError, PlugLock, Proximity, SafetyMode
 from perception.geometry import Pose
 from tests.unit.mission_rig import CLOCK, MATED_DEPTH_M, Rig
 
@@ -224,6 +224,55 @@ def test_a_reset_while_the_cause_is_still_there_latches_again(tmp_path: Path) ->
     rig.at("SCANNING", lambda: setattr(rig.arm, "safety", SafetyMode.ROBOT_ESTOP))
     outcomes = rig.serve(Goal.DOCK, Goal.RESET)
     assert [code(o) for o in outcomes] == [FaultCode.EMERGENCY_STOP] * 2
+
+
+class PressedAtTheCharger:
+    """A charger whose emergency stop is pressed and released, and that stays in ESTOP until it is reset."""
+
+    def __init__(self, rig: Rig) -> None:
+        self.rig, ask = rig, rig.charger.request
+
+        def request(request: ChargerRequest, argument: int = 0) -> int:
+            number = ask(request, argument)
+            if request is ChargerRequest.RESET_FAULT and not rig.charger.forced.get("estop"):
+                rig.charger.forced = {}
+            return number
+
+        rig.charger.request = request  # type: ignore[method-assign]
+
+    def press(self) -> None:
+        self.rig.charger.forced = {"state": ChargerState.ESTOP, "estop": True, "motion_inhibit": True}
+
+    def release(self) -> None:
+        self.rig.charger.forced = {"state": ChargerState.ESTOP, "motion_inhibit": True}
+
+
+@pytest.mark.parametrize("state", ["SCANNING", "APPROACHING", "INSERTING"])
+def test_after_an_emergency_stop_at_the_charger_a_reset_makes_the_cell_ready(tmp_path: Path, state: str) -> None:
+    rig = Rig(tmp_path)
+    stop = PressedAtTheCharger(rig)
+    rig.at(state, stop.press)
+    outcomes = rig.serve(Goal.CYCLE, Goal.RESET, stop.release, Goal.DOCK, Goal.RESET, Goal.DOCK)
+    pressed = FaultCode.EMERGENCY_STOP
+    assert [code(o) for o in outcomes] == [pressed, pressed, pressed, None, None], "a job is no reset"
+    assert kinds(outcomes[3:]) == ["ready", "charging"]
+
+
+def test_after_an_emergency_stop_at_the_charger_a_docked_plug_is_taken_out(tmp_path: Path) -> None:
+    rig = Rig(tmp_path)
+    stop = PressedAtTheCharger(rig)
+    rig.at("CHARGING", stop.press)
+    outcomes = rig.serve(Goal.DOCK, stop.release, Goal.RESET, Goal.UNDOCK)
+    assert [code(o) for o in outcomes] == [FaultCode.EMERGENCY_STOP, FaultCode.PLUG_INSERTED_AT_START, None]
+    assert outcomes[-1].kind == "undocked" and rig.arm.depth_m < 0.0
+
+
+def test_a_daemon_that_starts_after_one_does_not_reset_the_charger_by_itself(tmp_path: Path) -> None:
+    rig = Rig(tmp_path)
+    PressedAtTheCharger(rig).release()
+    outcomes = rig.serve(Goal.DOCK)
+    assert code(outcomes[0]) is FaultCode.EMERGENCY_STOP
+    assert ChargerRequest.RESET_FAULT not in rig.charger.requests
 
 
 def test_an_abort_while_docked_is_left_by_reset_then_undock(tmp_path: Path) -> None:
