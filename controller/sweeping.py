@@ -32,6 +32,8 @@ TRAILING_S = 30.0
 """How long profiles measured before the end of the motion may be on their way (a slow line, a busy host)."""
 CLOCK_HISTORY_S = 60.0
 """Arm samples from before the sweep help to fit the arm's clock: the more, the more prompt ones are among them."""
+SHARED_CLOCK_HISTORY_S = 1.0
+"""With one clock for both nothing is fitted: what surely lies before the first profile is enough."""
 REST_S = 0.02
 """After it stands by its own word the arm still swings a little: no profile from within this time counts."""
 STILL_M_S = 0.0005
@@ -158,7 +160,8 @@ def _take_moving(
 ) -> tuple[list[Profile], list[ArmState]]:
     """The profiles and the arm's samples around them; ``meanwhile`` is called at every look. Raises MissionFault."""
     collector, began_s = Collector(cell, passes, report, meanwhile), cell.wall.now_s()
-    states: list[ArmState] = cell.arm.history(began_s - CLOCK_HISTORY_S)
+    before_s = SHARED_CLOCK_HISTORY_S if config.scanner.sync == "shared_clock" else CLOCK_HISTORY_S
+    states: list[ArmState] = cell.arm.history(began_s - before_s)
 
     def remember() -> None:
         states.extend(cell.arm.history(states[-1].time_s if states else began_s))

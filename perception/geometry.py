@@ -47,7 +47,9 @@ class Pose:
         v = np.asarray(vector, dtype=np.float64)
         if v.shape != (6,):
             raise ValueError("a pose vector has six entries")
-        rotation = np.array(Rotation.from_rotvec(v[3:]).as_matrix())  # a copy: scipy's is a view that keeps five objects
+        rotation = np.array(
+            Rotation.from_rotvec(v[3:]).as_matrix()
+        )  # a copy: scipy's is a view that keeps five objects
         return Pose(rotation, v[:3].copy())
 
     @staticmethod
@@ -114,6 +116,14 @@ def exp(twist: ArrayLike) -> Pose:
     """Small motion (translation, rotation vector) (6,) as a pose; rotation and translation are not coupled."""
     t = np.asarray(twist, dtype=np.float64)
     return Pose.from_rotvec(t[3:], t[:3])
+
+
+def exp_many(twists: Array) -> Array:
+    """(P, 4, 4) matrices of ``exp`` of each twist (P, 6)."""
+    matrices = np.tile(np.eye(4), (len(twists), 1, 1))
+    matrices[:, :3, :3] = Rotation.from_rotvec(twists[:, 3:]).as_matrix()
+    matrices[:, :3, 3] = twists[:, :3]
+    return matrices
 
 
 def interpolate(times_s: Sequence[float] | Array, poses: Sequence[Pose], query_s: ArrayLike) -> list[Pose]:

@@ -21,7 +21,8 @@ GROWTH_MB = 10.0
 FOREVER = 1_000_000
 
 SoakPace = Annotated[
-    float, typer.Option(min=1.0, max=4.0, help="Emulated seconds per wall second; above 3 with --config config/soak.yaml.")
+    float,
+    typer.Option(min=1.0, max=4.0, help="Emulated seconds per wall second; above 3 with --config config/soak.yaml."),
 ]
 """Above 3 only a site with longer deadlines gives a silent charger the wall time after which it counts as lost."""
 
@@ -31,7 +32,9 @@ def soak(
     missions: Annotated[int | None, typer.Option(min=1, help="So many missions.")] = None,
     faults: Annotated[float, typer.Option(min=0.0, max=1.0, help="Share of missions with a random fault.")] = 0.3,
     seed: Annotated[int, typer.Option(min=0, help="Cars, faults, noise.")] = 0,
-    world: Annotated[int, typer.Option(min=1, help="Missions for each set of mocks; each has the car parked elsewhere.")] = 10,
+    world: Annotated[
+        int, typer.Option(min=1, help="Missions for each set of mocks; each has the car parked elsewhere.")
+    ] = 10,
     pace: SoakPace = FAST_FACTOR,
     scenario: Annotated[str, typer.Option(help="nominal, or uncalibrated with the calibrations of --mock-cell.")] = (
         "nominal"

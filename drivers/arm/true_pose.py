@@ -19,12 +19,16 @@ from perception.geometry import Array, Pose
 
 
 def true_states(told: list[ArmState], settings: UrSettings) -> list[ArmState]:
-    """The samples with their true poses."""
+    """The samples with their true poses. Half a minute at 500 Hz is asked for at once: no pose is worked out alone."""
     if settings.errors is None or not told:
         return told
     corrections = _true_in_told_tcp(np.stack([state.joints for state in told]), settings.errors, settings)
-    pairs = zip(told, corrections, strict=True)
-    return [replace(state, T_base_tcp=state.T_base_tcp @ correction) for state, correction in pairs]
+    rotations = np.stack([state.T_base_tcp.rotation for state in told])
+    places = np.stack([state.T_base_tcp.translation for state in told])
+    true_rotations = rotations @ corrections[:, :3, :3]
+    true_places = (rotations @ corrections[:, :3, 3:])[:, :, 0] + places
+    poses = zip(told, true_rotations, true_places, strict=True)
+    return [replace(state, T_base_tcp=Pose(rotation, place)) for state, rotation, place in poses]
 
 
 def told_pose(T_base_tcp: Pose, joints: Array, settings: UrSettings) -> Pose:
@@ -33,15 +37,16 @@ def told_pose(T_base_tcp: Pose, joints: Array, settings: UrSettings) -> Pose:
     if s.errors is None:
         return T_base_tcp
     there = nearest_branch(s.kinematics, T_base_tcp @ s.T_flange_tcp.inverse(), joints, s.joint_limits)
-    return T_base_tcp if there is None else T_base_tcp @ _true_in_told_tcp(there[None], s.errors, s)[0].inverse()
+    if there is None:
+        return T_base_tcp
+    return T_base_tcp @ Pose.from_matrix(_true_in_told_tcp(there[None], s.errors, s)[0]).inverse()
 
 
-def _true_in_told_tcp(joints: Array, errors: Array, settings: UrSettings) -> list[Pose]:
-    """The true TCP in the frame of the told one, at joints (K, 6)."""
+def _true_in_told_tcp(joints: Array, errors: Array, settings: UrSettings) -> Array:
+    """(K, 4, 4): the true TCP in the frame of the told one, at joints (K, 6)."""
     T_flange_tcp, weights = settings.T_flange_tcp, Weights(load_kg=settings.payload_kg)
-    T_tcp_flange = T_flange_tcp.inverse()
     moved = true_in_told(frames_many(settings.kinematics, joints), errors, weights)
-    return [T_tcp_flange @ one @ T_flange_tcp for one in moved]
+    return np.asarray(T_flange_tcp.inverse().matrix @ moved @ T_flange_tcp.matrix)
 
 
 def error_jacobians(settings: UrSettings, T_base_flange: tuple[Pose, ...], near: Array) -> Array:

@@ -233,7 +233,6 @@ class Blackboard:
         """How many sweeps the scanner has started."""
         return int((self._sweep.last() or (0.0,))[0])
 
-
     # --- car: written by whoever runs the world ------------------------------------------------------------------
 
     def put_car(self, T_base_port: tuple[float, ...]) -> None:

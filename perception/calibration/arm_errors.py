@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from perception.geometry import Array, Pose, exp
+from perception.geometry import Array, exp_many
 
 COUNT = 19
 """Parameters: six of a, six of d (Denavit-Hartenberg lengths, m), six joint zeros (rad), one compliance (rad/Nm)."""
@@ -54,9 +54,9 @@ def gravity_torques(frames: Array, weights: Weights) -> Array:
     return np.asarray((about * carried) @ (G_M_S2 * np.array([*weights.links_kg, weights.load_kg])))
 
 
-def true_in_told(frames: Array, errors: Array, weights: Weights) -> list[Pose]:
-    """The true flange in the frame of the flange that the arm tells, for each of P sets of frames.
+def true_in_told(frames: Array, errors: Array, weights: Weights) -> Array:
+    """(P, 4, 4): the true flange in the frame of the flange that the arm tells, for each of P sets of frames.
 
     :param errors: (19,)
     """
-    return [exp(twist) for twist in error_jacobian(frames, weights) @ errors]
+    return exp_many(error_jacobian(frames, weights) @ errors)

@@ -40,7 +40,7 @@ def erring_flange(q: np.ndarray, e: np.ndarray) -> Pose:
 @given(joints, errors)
 def test_to_first_order_is_good_to_two_micrometres(q: np.ndarray, e: np.ndarray) -> None:
     frames = frames_many(MODELS["ur10e"], q[None])
-    estimated = forward(MODELS["ur10e"], q) @ true_in_told(frames, e, Weights())[0]
+    estimated = forward(MODELS["ur10e"], q) @ Pose.from_matrix(true_in_told(frames, e, Weights())[0])
     true = erring_flange(q, e)
     assert estimated.distance_to(true) < 2e-6
     assert estimated.angle_to(true) < 4e-6
@@ -62,7 +62,9 @@ def test_the_emulated_arm_errs_as_the_model_says() -> None:
     d1, a2, a3, d4, d5, d6 = lengths
     e = np.array([0, a2, a3, 0, 0, 0, d1, 0, 0, d4, d5, d6, *zeros, give])
     told = forward(MODELS["ur10e"], BEFORE_THE_PORT)
-    estimated = told @ true_in_told(frames_many(MODELS["ur10e"], BEFORE_THE_PORT[None]), e, Weights())[0]
+    estimated = told @ Pose.from_matrix(
+        true_in_told(frames_many(MODELS["ur10e"], BEFORE_THE_PORT[None]), e, Weights())[0]
+    )
     true = Pose.from_matrix(arm.T_base_flange_true)
     assert told.distance_to(true) > 2e-4
     assert estimated.distance_to(true) < 1e-6

@@ -30,7 +30,11 @@ def moved_by(errors: np.ndarray | None, told: Pose) -> Pose:
     joints = nearest_branch(MODELS["ur10e"], told, BEFORE_THE_PORT, JointLimits.symmetric())
     assert joints is not None
     frames = frames_many(MODELS["ur10e"], joints[None])
-    return told if errors is None else forward(MODELS["ur10e"], joints) @ true_in_told(frames, errors, Weights())[0]
+    return (
+        told
+        if errors is None
+        else forward(MODELS["ur10e"], joints) @ Pose.from_matrix(true_in_told(frames, errors, Weights())[0])
+    )
 
 
 def true_errors(world: Scenario) -> np.ndarray:
