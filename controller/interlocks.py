@@ -83,9 +83,7 @@ def _arm_fault(arm: ArmState, state: State) -> Fault | None:
 
 
 def _charger_fault(charger: ChargerStatus, state: State) -> Fault | None:
-    latched = (
-        charger.state is ChargerState.ESTOP and state is not State.SELF_CHECK
-    )  # where a reset ends what is latched
+    latched = charger.state is ChargerState.ESTOP and state is not State.SELF_CHECK  # which ends what is latched
     if charger.estop or latched:
         return Fault(FaultCode.EMERGENCY_STOP, "pressed at the charger")
     if charger.state is ChargerState.FAULT and state is not State.SELF_CHECK:  # which looks for a plug first

@@ -113,8 +113,8 @@ def _await_arm(task: Task, patience_s: float) -> None:
 
 
 def _await_charger(task: Task, patience_s: float) -> None:
-    """The charger lets us move. What it latched when it lost the robot, or when its emergency stop was pressed, is reset
-    only by an operator's request."""
+    """The charger lets us move. What it latched, having lost the robot or with its emergency stop, only an operator's
+    request resets."""
     cell = task.cell
     if task.now.goal in (Goal.RESET, Goal.UNDOCK) and not cell.charger_says(_permits):
         cell.do(AskCharger(ChargerRequest.RESET_FAULT))

@@ -47,9 +47,7 @@ class Pose:
         v = np.asarray(vector, dtype=np.float64)
         if v.shape != (6,):
             raise ValueError("a pose vector has six entries")
-        rotation = np.array(
-            Rotation.from_rotvec(v[3:]).as_matrix()
-        )  # a copy: scipy's is a view that keeps five objects
+        rotation = np.array(Rotation.from_rotvec(v[3:]).as_matrix())  # scipy's own is a view that keeps five objects
         return Pose(rotation, v[:3].copy())
 
     @staticmethod

@@ -1,7 +1,8 @@
 """The mock world seen by the laser: profiles ray-cast from where the arm truly was at the moment of exposure.
 
 The vehicle, its paint and its inlet within moulding tolerance come from the world's seed: the controller's port model
-is the drawing, not this part; all cars of one world are this one, parked elsewhere. A profile waits until the arm mock has published its pose for that very time.
+is the drawing, not this part; all cars of one world are this one, parked elsewhere. A profile waits until the arm mock
+has published its pose for that very time.
 """
 
 from __future__ import annotations

@@ -2,7 +2,8 @@
 
 The arm mock publishes where the flange and the plug are, the charger mock whether the plug is locked and whether the
 E-stop is pressed, the scanner mock how many sweeps it has started, whoever runs the world where the next car has
-parked; each reads the others' sections. It stands for what real devices share by being in one place, and for one clock, so nothing in it travels over a wire.
+parked; each reads the others' sections. It stands for what real devices share by being in one place, and for one
+clock, so nothing in it travels over a wire.
 
 Each section is a short ring of records with one writer. A record carries its sequence number and a CRC: a reader
 takes the newest record whose CRC fits, so it never sees a half-written value, even when the writer was killed.
