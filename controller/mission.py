@@ -150,7 +150,7 @@ class Mission:
             self._conclude(Outcome.of(self.fault))
         elif self.state is State.READY and self.now.goal is not None and self.now.under_way:
             self._give_back()
-            self._conclude(self._verdict())
+            self._conclude(self.now.result())
 
     def _longest_stay_s(self) -> float | None:
         if self.state in RESTING:
@@ -187,21 +187,6 @@ class Mission:
         self.task.cell.supervisor.clear_stop()
         self.task.watcher.ended(outcome, self.now)
         self.task.desk.answered(outcome)
-
-    def _verdict(self) -> Outcome:
-        """Back in READY: what the job came to."""
-        now = self.now
-        if now.stopping:
-            return Outcome("stopped")
-        if now.setback is not None:
-            refused = now.setback.code is FaultCode.PORT_NOT_FOUND
-            return Outcome("refused" if refused else "intervention-needed", now.setback)
-        match now.goal:
-            case Goal.UNDOCK:
-                return Outcome("undocked")
-            case Goal.RESET:
-                return Outcome("ready")
-        return Outcome("charged")
 
     def _give_back(self) -> None:
         """The charger is no longer reserved. It may refuse: the robot is out of the way in any case."""

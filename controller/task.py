@@ -95,6 +95,20 @@ class Progress:
     outcome: Outcome | None = None
     stopping: bool = False
 
+    def result(self) -> Outcome:
+        """What the job has come to, back in READY."""
+        if self.stopping:
+            return Outcome("stopped")
+        if self.setback is not None:
+            refused = self.setback.code is FaultCode.PORT_NOT_FOUND
+            return Outcome("refused" if refused else "intervention-needed", self.setback)
+        match self.goal:
+            case Goal.UNDOCK:
+                return Outcome("undocked")
+            case Goal.RESET:
+                return Outcome("ready")
+        return Outcome("charged")
+
 
 @dataclass(slots=True)
 class Task:

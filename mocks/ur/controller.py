@@ -21,6 +21,7 @@ from mocks.ur.motion import MotionError
 from mocks.ur.program import Program, ScriptError
 from mocks.ur.state import (
     SAFETY_BITS,
+    STOPPED_SAFETY,
     InputsOutputs,
     Payload,
     Power,
@@ -35,16 +36,6 @@ from perception.geometry import Array
 log = logging.getLogger(__name__)
 
 UNLOCK_AFTER_S = 5.0
-STOPPED_SAFETY = frozenset(
-    {
-        Safety.PROTECTIVE_STOP,
-        Safety.SAFEGUARD_STOP,
-        Safety.SYSTEM_EMERGENCY_STOP,
-        Safety.ROBOT_EMERGENCY_STOP,
-        Safety.VIOLATION,
-        Safety.FAULT,
-    }
-)
 
 
 class Controller:

@@ -57,6 +57,18 @@ SAFETY_BITS = {
 }
 """RTDE ``safety_status_bits`` of each mode; bit 10 says stopped due to safety."""
 
+STOPPED_SAFETY = frozenset(
+    {
+        Safety.PROTECTIVE_STOP,
+        Safety.SAFEGUARD_STOP,
+        Safety.SYSTEM_EMERGENCY_STOP,
+        Safety.ROBOT_EMERGENCY_STOP,
+        Safety.VIOLATION,
+        Safety.FAULT,
+    }
+)
+"""In these nothing moves: those with bit 10."""
+
 
 REGISTERS = 48
 """Integer and double registers each way."""
