@@ -30,7 +30,9 @@ def evaluate_locate(
     loose: Annotated[int, typer.Option(min=0, help="nominal scans of parts that are off their CAD")] = 0,
     seed: Annotated[int, typer.Option(min=0, help="below 1000: for tuning; from 1000 on: for acceptance")] = 1,
     tiers: Annotated[str, typer.Option(help="with commas between")] = _TIERS,
-    ports: Annotated[str, typer.Option(help="bundled ports with commas between; all of them by default")] = "",
+    ports: Annotated[
+        str, typer.Option(help="with commas between; by default all bundled ones, and one of other code")
+    ] = "",
     peers: Annotated[str, typer.Option(help="peers with commas between, or all; those not installed are named")] = "",
     peer_scans: Annotated[int, typer.Option(min=1, help="positive scans that peers are run on")] = 40,
     also: Annotated[
@@ -75,9 +77,11 @@ def evaluate_locate(
 
 def _shapes(ports: str) -> dict[str, PortShape]:
     from controller.port_files import bundled_ports, load_port
+    from perception.evaluation.families import OTHERS
 
-    names = _listed(ports, bundled_ports(), "--ports") or bundled_ports()
-    return {name: load_port(name).shape for name in names}
+    known = (*bundled_ports(), *OTHERS)
+    names = _listed(ports, known, "--ports") or known
+    return {name: OTHERS[name] if name in OTHERS else load_port(name).shape for name in names}
 
 
 def _tiers(text: str) -> tuple[str, ...]:

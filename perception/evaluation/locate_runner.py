@@ -14,6 +14,7 @@ from pathlib import Path
 
 from perception.errors import InputError
 from perception.evaluation import locate_records as records
+from perception.evaluation.families import drawn_mesh
 from perception.evaluation.locate_cases import Case, CaseScan, make_scan, seed_set
 from perception.evaluation.locate_folder import FolderCase, read_scan
 from perception.evaluation.locate_records import CaseRecord, error_of
@@ -23,7 +24,6 @@ from perception.evaluation.processes import workers
 from perception.mesh_io import read_mesh
 from perception.port_model import PortModel
 from perception.port_shape import PortShape
-from perception.port_solid import build_mesh
 
 RESULTS, PLAN = "results.jsonl", "plan.json"
 Progress = Callable[[int, int], None]
@@ -165,7 +165,7 @@ def _models(worker: _Worker, task: _Task) -> dict[str, PortModel]:
 
 def _model(worker: _Worker, name: str, mesh: Path | None) -> PortModel:
     if (name, mesh) not in worker.models:
-        vertices, faces = build_mesh(worker.shapes[name]) if mesh is None else read_mesh(mesh)
+        vertices, faces = drawn_mesh(worker.shapes[name]) if mesh is None else read_mesh(mesh)
         worker.models[name, mesh] = PortModel.from_mesh(name, vertices, faces)
     return worker.models[name, mesh]
 

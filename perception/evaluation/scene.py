@@ -14,12 +14,13 @@ import open3d as o3d
 from manifold3d import Manifold
 
 from perception.evaluation import vehicle
-from perception.evaluation.built import TYPICAL, BuiltTolerance, built_variant, shrink_factor
+from perception.evaluation.built import TYPICAL, BuiltTolerance
+from perception.evaluation.families import built_part
 from perception.evaluation.vehicle import Occluder, Pocket, Rng, Side
 from perception.geometry import Array
 from perception.outline import Outline, Point2, outline_bounds
 from perception.port_shape import PortShape
-from perception.port_solid import PARTS, Ints, PortMesh, build_parts
+from perception.port_solid import PARTS, Ints, PortMesh
 
 Negative = Literal[
     "plain", "empty-pocket", "closed-cover", "dust-cap", "plug-inserted", "other-recess", "mirrored", "no-contacts"
@@ -155,16 +156,10 @@ def build_scene(spec: SceneSpec, rng: Rng) -> Scene:
 
 def _built_port(spec: SceneSpec, rng: Rng) -> PortMesh:
     """The inlet as built; mirrored or without contacts where the scene wants that."""
-    shape = built_variant(spec.shape, spec.tolerance, rng)
-    if spec.negative == "no-contacts":
-        shape = PortShape(
-            shape.name, shape.rim, shape.cavity, shape.flange, shape.inserts, (), shape.keys, shape.finish
-        )
-    mesh = build_parts(shape)
-    vertices = mesh.vertices * shrink_factor(spec.tolerance, rng)
+    mesh = built_part(spec.shape, spec.tolerance, rng, contacts=spec.negative != "no-contacts")
     if spec.negative == "mirrored":
-        return PortMesh(vertices * np.array([-1.0, 1.0, 1.0]), mesh.faces[:, ::-1].copy(), mesh.part)
-    return PortMesh(vertices, mesh.faces, mesh.part)
+        return PortMesh(mesh.vertices * np.array([-1.0, 1.0, 1.0]), mesh.faces[:, ::-1].copy(), mesh.part)
+    return mesh
 
 
 def _vehicle(spec: SceneSpec, pocket: Pocket, rng: Rng) -> list[tuple[str, Manifold]]:
