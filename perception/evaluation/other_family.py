@@ -81,7 +81,7 @@ def built(tolerance: BuiltTolerance, rng: np.random.Generator, *, contacts: bool
         leans if contacts else (),
         FACE + float(rng.normal(0.0, t.face_m)) * 1e3,
         FLOOR + float(rng.normal(0.0, t.floor_m)) * 1e3,
-        LEAD_IN + float(rng.uniform(-0.2, 0.2)),
+        LEAD_IN + float(rng.uniform(-0.1, 0.1)),
         0.02 + float(rng.normal(0.0, t.draft_rad)),
         float(rng.uniform(-0.3, 0.3)),
         (float(x), float(y), float(z)),
