@@ -149,10 +149,11 @@ class _World:
                 cell.repair()
                 power_on(cell.config.arm.host)
 
-            desk = SoakDesk(
-                left, self._ended, repair, lambda: self._clock.now_s() > plan.end_s, lambda: cell.park(self._parked())
-            )
-            self._draw()
+            def begin() -> None:
+                cell.park(self._parked())
+                self._draw()
+
+            desk = SoakDesk(left, self._ended, repair, lambda: self._clock.now_s() > plan.end_s, begin)
             mission.serve(desk)
             if desk.given_up:
                 self._soak.given_up.append(f"world {self._number}: {desk.given_up}")
@@ -163,6 +164,7 @@ class _World:
         return draw_parking(self._site, rng)
 
     def _draw(self) -> None:
+        """What happens to the mission that begins; resets and undocks between two missions are left alone."""
         self._trouble, self._state = draw(self._rng, self._plan.fault_share)
         self._planned_state, self._begun_s = self._state, self._clock.now_s()
 
@@ -185,4 +187,4 @@ class _World:
                 threads=footprint.threads,
             )
         )
-        self._draw()
+        self._trouble, self._state = NOTHING, ""
