@@ -17,7 +17,7 @@ from controller.campaign.findings import Findings
 from controller.campaign.rules import FAULTS, STATES, rule
 from controller.campaign.table import as_html, as_markdown, verdict
 from controller.cli.dry_run import FAST_FACTOR, Pace, for_mocks
-from controller.config import load_config
+from controller.config import SiteConfig, load_config
 from controller.config_section import ConfigError
 from controller.states import State
 
@@ -33,19 +33,22 @@ def campaign(
     states: Annotated[str, typer.Option(help="all, or names with commas.")] = "all",
     jobs: Annotated[int, typer.Option(min=1, help="Cells at once.")] = 1,
     pace: Pace = FAST_FACTOR,
+    config: Annotated[Path | None, typer.Option(help="A site file; addresses are replaced by the mocks'.")] = None,
     cell: Annotated[str | None, typer.Option(hidden=True, help="Run one cell here: FAULT:STATE.")] = None,
 ) -> None:
     """Judge faults by the rules of controller/campaign/rules.py; exit 1 if a rule is broken or a cell did not run."""
     if cell is not None:
         fault, _, state = cell.partition(":")
-        _run_here(fault, State[state], out, pace)
+        _run_here(fault, State[state], for_mocks(load_config(config), fast=True), out, pace)
         return
+    load_config(config)  # what is wrong with it is said once, here
     chosen, at = _chosen(faults, tuple(FAULTS), "fault"), _chosen(states, tuple(s.name for s in STATES), "state")
     pairs = [(fault, State[name]) for fault in chosen for name in at]
+    options = ["--pace", f"{pace:g}", *([] if config is None else ["--config", str(config)])]
     due = [pair for pair in pairs if not rule(*pair).impossible and not (_home(out, *pair) / RESULT).exists()]
     out.mkdir(parents=True, exist_ok=True)
     with ThreadPoolExecutor(jobs) as pool:
-        for (fault, step), _ in zip(due, pool.map(lambda pair: _run(pair[0], pair[1], out, pace), due), strict=True):
+        for (fault, step), _ in zip(due, pool.map(lambda pair: _run(pair[0], pair[1], out, options), due), strict=True):
             word, detail = verdict(fault, step, _results(out, pairs))
             print(f"{fault:<20} {step.name:<12} {word:<8} {detail}", flush=True)
     results, columns = _results(out, pairs), [State[name] for name in at]
@@ -68,13 +71,13 @@ def _home(out: Path, fault: str, state: State) -> Path:
     return out / fault / state.name.lower()
 
 
-def _run(fault: str, state: State, out: Path, pace: float) -> None:
+def _run(fault: str, state: State, out: Path, options: list[str]) -> None:
     """In a process of its own: what a fault does to a process must not reach the next cell."""
     home = _home(out, fault, state)
     for _ in range(ATTEMPTS):
         shutil.rmtree(home, ignore_errors=True)
         home.mkdir(parents=True)
-        command = [sys.executable, "-m", "controller.cli.main", "campaign", "--out", str(out), "--pace", f"{pace:g}"]
+        command = [sys.executable, "-m", "controller.cli.main", "campaign", "--out", str(out), *options]
         with (home / "log.txt").open("w", encoding="utf-8") as log:
             process = subprocess.Popen(
                 [*command, "--cell", f"{fault}:{state.name}"], stdin=subprocess.DEVNULL, stdout=log, stderr=log
@@ -89,11 +92,11 @@ def _run(fault: str, state: State, out: Path, pace: float) -> None:
             return
 
 
-def _run_here(fault: str, state: State, out: Path, pace: float) -> None:
+def _run_here(fault: str, state: State, site: SiteConfig, out: Path, pace: float) -> None:
     from controller.campaign.one_cell import run_cell  # devices take seconds to import
 
     home = _home(out, fault, state).resolve()
-    findings = run_cell(fault, state, for_mocks(load_config(None), fast=True), home, pace)
+    findings = run_cell(fault, state, site, home, pace)
     (home / RESULT).write_text(json.dumps(asdict(findings)), encoding="utf-8")
 
 
