@@ -83,9 +83,10 @@ def _arm_fault(arm: ArmState, state: State) -> Fault | None:
 
 
 def _charger_fault(charger: ChargerStatus, state: State) -> Fault | None:
-    latched = charger.state is ChargerState.ESTOP and state is not State.SELF_CHECK  # which ends what is latched
-    if charger.estop or latched:
+    if charger.estop:
         return Fault(FaultCode.EMERGENCY_STOP, "pressed at the charger")
+    if charger.state is ChargerState.ESTOP and state is not State.SELF_CHECK:  # where a reset ends what is latched
+        return Fault(FaultCode.EMERGENCY_STOP, "latched at the charger")
     if charger.state is ChargerState.FAULT and state is not State.SELF_CHECK:  # which looks for a plug first
         return Fault(FaultCode.CHARGER_FAULT, f"charger fault code {charger.fault_code}")
     if charger.motion_inhibit and state in MOVING_STATES:

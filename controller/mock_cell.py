@@ -106,7 +106,7 @@ class MockCell:
         self._process(name).send_signal(signal.SIGSTOP)
 
     def park(self, T_base_port: Pose) -> None:
-        """The car leaves and another one parks, where its port is at ``T_base_port``; the plug must be out."""
+        """Another car parks instead, its port at ``T_base_port``; the arm must be out of the way."""
         board = Blackboard.attach(self._folder)
         board.put_car(_vector(T_base_port))
         board.close()

@@ -144,7 +144,7 @@ def _check_back_off(command: BackOff, now: Situation, limits: Limits) -> Refusal
         return Refusal("arm", "the arm's state is not fresh, or it is not running")
     if now.arm.safety not in (SafetyMode.NORMAL, SafetyMode.REDUCED):
         return Refusal("arm", f"safety mode {now.arm.safety.name}")
-    if now.charger is not None and (now.charger.estop or now.charger.motion_inhibit):
+    if now.charger is not None and now.charger.forbids_motion:
         return Refusal("charger", "the charger inhibits motion")
     force_n = float(np.linalg.norm(now.arm.wrench[:3]))
     if not force_n < limits.touch_force_n:
@@ -173,7 +173,7 @@ def _check_motion(command: Motion, now: Situation, limits: Limits) -> Refusal | 
         return Refusal("arm", f"safety mode {now.arm.safety.name}")
     if now.charger is None:
         return Refusal("charger", "the charger's status is not fresh")
-    if now.charger.estop or now.charger.motion_inhibit:
+    if now.charger.forbids_motion:
         return Refusal("charger", "the charger inhibits motion")
     refusal = _check_bounds(command, now, limits)
     return refusal or _check_inserted(command, now, limits)

@@ -107,7 +107,7 @@ def go_to_start(cell: Cell, config: SiteConfig, view: Viewpoint) -> None:
     cell.supervisor.wait(lambda: cell.arm_state() is not None and cell.charger_status() is not None, STATUS_S)
     if not cell.charger_says(lambda status: status.proximity is Proximity.ABSENT):
         raise MissionFault(FaultCode.PLUG_INSERTED_AT_START, "a plug may be in the port: the arm is not moved to scan")
-    if not cell.supervisor.wait(lambda: cell.charger_says(lambda status: not status.motion_inhibit), patience_s):
+    if not cell.supervisor.wait(lambda: cell.charger_says(lambda status: not status.forbids_motion), patience_s):
         raise MissionFault(FaultCode.CHARGER_FAULT, "the charger inhibits motion although it gets our heartbeat")
     if not cell.supervisor.wait(lambda: _runs(cell.arm_state()), patience_s):
         raise MissionFault(FaultCode.ARM_NOT_READY, "the arm is not powered and running")

@@ -6,7 +6,7 @@ that was under way when an earlier process ended: the contact senses only a plug
 
 from __future__ import annotations
 
-from controller.commands import AskCharger, ZeroForce
+from controller.commands import ZeroForce
 from controller.config import MotionConfig
 from controller.durable import forget_insertion, recall_insertion
 from controller.faults import FaultCode, MissionFault
@@ -14,7 +14,15 @@ from controller.insertion import CLEAR_M
 from controller.planning import DockPlan, plan_on_axis
 from controller.states import Event
 from controller.task import Goal, Task
-from drivers.base import ArmState, ChargerRequest, ChargerState, ChargerStatus, Proximity, RobotMode
+from drivers.base import (
+    ArmState,
+    ChargerRequest,
+    ChargerState,
+    ChargerStatus,
+    Proximity,
+    RequestResult,
+    RobotMode,
+)
 from perception.geometry import Pose
 
 LOOKS = 3
@@ -73,6 +81,8 @@ def before_port(plan: DockPlan, arm: ArmState | None, motion: MotionConfig) -> b
 def _with_plug(task: Task, patience_s: float) -> Event:
     """A plug is in: observe a charge, take it out if that was asked for, else say so and leave it."""
     cell = task.cell
+    if cell.charger_says(lambda s: s.state is ChargerState.ESTOP):
+        _await_charger(task, patience_s)
     status = cell.charger_status()
     charging = status is not None and status.contactor_closed
     cell.supervisor.facts.clear_of_vehicle = False
@@ -113,23 +123,26 @@ def _await_arm(task: Task, patience_s: float) -> None:
 
 
 def _await_charger(task: Task, patience_s: float) -> None:
-    """The charger lets us move. What it latched, having lost the robot or with its emergency stop, only an operator's
-    request resets."""
-    cell = task.cell
-    if task.now.goal in (Goal.RESET, Goal.UNDOCK) and not cell.charger_says(_permits):
-        cell.do(AskCharger(ChargerRequest.RESET_FAULT))
-    if cell.supervisor.wait(lambda: cell.charger_says(_permits), patience_s):
+    """The charger lets us move. What it latched when it lost the robot an operator's reset or undock ends; what its
+    emergency stop left, nothing but a reset."""
+    cell, goal, refusal = task.cell, task.now.goal, ""
+    stopped = cell.charger_says(lambda s: s.state is ChargerState.ESTOP)
+    asked_for = goal is Goal.RESET or (goal is Goal.UNDOCK and not stopped)
+    if asked_for and cell.charger_says(lambda s: s.forbids_motion):
+        answer = cell.ask(ChargerRequest.RESET_FAULT, patience_s)
+        refusal = f"; it refused to be reset: {cell.charger.refusal()}" if answer is RequestResult.REJECTED else ""
+    if (asked_for or not stopped) and cell.supervisor.wait(
+        lambda: cell.charger_says(lambda s: not s.forbids_motion), patience_s
+    ):
         return
     status = cell.charger_status()
     if status is not None and status.state is ChargerState.FAULT:
-        raise MissionFault(FaultCode.CHARGER_FAULT, f"charger fault code {status.fault_code}")
+        raise MissionFault(FaultCode.CHARGER_FAULT, f"charger fault code {status.fault_code}{refusal}")
     if status is not None and status.state is ChargerState.ESTOP:
-        raise MissionFault(FaultCode.EMERGENCY_STOP, "released at the charger, which has not been reset since")
-    raise MissionFault(FaultCode.CHARGER_FAULT, "the charger inhibits motion although it gets our heartbeat")
-
-
-def _permits(status: ChargerStatus) -> bool:
-    return not status.motion_inhibit and status.state not in (ChargerState.FAULT, ChargerState.ESTOP)
+        raise MissionFault(
+            FaultCode.EMERGENCY_STOP, f"released at the charger, which has not been reset since{refusal}"
+        )
+    raise MissionFault(FaultCode.CHARGER_FAULT, f"the charger inhibits motion although it gets our heartbeat{refusal}")
 
 
 def _ready_arm(state: ArmState | None) -> bool:

@@ -17,11 +17,11 @@ from controller.campaign.findings import Findings
 from controller.campaign.rules import FAULTS, STATES, rule
 from controller.campaign.table import as_html, as_markdown, verdict
 from controller.cli.dry_run import FAST_FACTOR, Pace, for_mocks
-from controller.config import SiteConfig, load_config
+from controller.config import SiteConfig, as_yaml, load_config
 from controller.config_section import ConfigError
 from controller.states import State
 
-RESULT = "findings.json"
+RESULT, SITE = "findings.json", "site.yaml"
 LONGEST_S = 900.0
 ATTEMPTS = 2
 """A cell whose mission ended before its fault was made (a busy computer spoils sweeps) is run once more."""
@@ -41,12 +41,12 @@ def campaign(
         fault, _, state = cell.partition(":")
         _run_here(fault, State[state], for_mocks(load_config(config), fast=True), out, pace)
         return
-    load_config(config)  # what is wrong with it is said once, here
     chosen, at = _chosen(faults, tuple(FAULTS), "fault"), _chosen(states, tuple(s.name for s in STATES), "state")
     pairs = [(fault, State[name]) for fault in chosen for name in at]
     options = ["--pace", f"{pace:g}", *([] if config is None else ["--config", str(config)])]
     due = [pair for pair in pairs if not rule(*pair).impossible and not (_home(out, *pair) / RESULT).exists()]
     out.mkdir(parents=True, exist_ok=True)
+    check_site(load_config(config), pace, out / SITE)
     with ThreadPoolExecutor(jobs) as pool:
         for (fault, step), _ in zip(due, pool.map(lambda pair: _run(pair[0], pair[1], out, options), due), strict=True):
             word, detail = verdict(fault, step, _results(out, pairs))
@@ -65,6 +65,17 @@ def _chosen(text: str, known: tuple[str, ...], what: str) -> list[str]:
         if name not in known:
             raise ConfigError(f"no {what} is called '{name}'", remedy=f"Use all, or some of {', '.join(known)}.")
     return names
+
+
+def check_site(site: SiteConfig, pace: float, path: Path) -> None:
+    """One table is of one site. Raises ConfigError where ``path`` names another."""
+    text = f"# --pace {pace:g}\n{as_yaml(site)}"
+    if path.exists() and path.read_text(encoding="utf-8") != text:
+        raise ConfigError(
+            f"{path.parent} holds cells of another site or pace",
+            remedy="Give another --out, or their --config and --pace.",
+        )
+    path.write_text(text, encoding="utf-8")
 
 
 def _home(out: Path, fault: str, state: State) -> Path:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from controller.cli.dry_run import FAST_FACTOR, for_mocks
-from controller.config import load_config
+from controller.config import SiteConfig, load_config
 from controller.config_section import ConfigError
 from controller.scenarios import check_name
 
@@ -24,7 +24,8 @@ SoakPace = Annotated[
     float,
     typer.Option(min=1.0, max=4.0, help="Emulated seconds per wall second; above 3 with --config config/soak.yaml."),
 ]
-"""Above 3 only a site with longer deadlines gives a silent charger the wall time after which it counts as lost."""
+LEAST_RELEASING_S = 10.0
+"""Of wall time: a silent charger counts as lost after three seconds, and each of two requests may wait for that."""
 
 
 def soak(
@@ -53,9 +54,23 @@ def soak(
     end_s = float("inf") if hours is None else clock.now_s() + 3600.0 * hours
     check_name(scenario)
     plan = Plan(missions or FOREVER, end_s, seed, faults, world, pace, scenario, mock_cell)
+    site = for_mocks(load_config(config), fast=pace > 1.0)
+    check_site(site, pace)
     out.mkdir(parents=True, exist_ok=True)
-    done = run_soak(for_mocks(load_config(config), fast=pace > 1.0), plan, out.resolve(), clock, _tell)
+    done = run_soak(site, plan, out.resolve(), clock, _tell)
     raise typer.Exit(0 if _judged(done) else 1)
+
+
+def check_site(site: SiteConfig, pace: float) -> None:
+    """Raises ConfigError where outcomes would not be what the soak takes them for."""
+    if site.deadlines.releasing_s / pace < LEAST_RELEASING_S:
+        raise ConfigError(
+            f"at --pace {pace:g} RELEASING ends after {site.deadlines.releasing_s / pace:.1f} s of wall time, too early"
+            " to tell that the charger is lost",
+            remedy="Lower --pace, or give --config config/soak.yaml.",
+        )
+    if site.mission.on_final_failure != "retreat":
+        raise ConfigError("a soak waits for nobody", remedy="Set mission.on_final_failure: retreat in its site file.")
 
 
 def _tell(line: Line) -> None:

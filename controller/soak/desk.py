@@ -23,7 +23,7 @@ class SoakDesk:
     """Removes what troubled the mission: what an operator does before a reset."""
     enough: Callable[[], bool]
     begins: Callable[[], None] = lambda: None
-    """Told that a mission is about to begin: the plug is out."""
+    """Told that a mission is about to begin."""
     pending: Goal | None = Goal.CYCLE
     leaving: bool = False
     given_up: str = ""

@@ -27,7 +27,6 @@ from controller.soak.faults import NOTHING, Trouble, draw
 from controller.soak.figures import Footprint, Growth, growth
 from controller.soak.operator import power_on
 from drivers.base import Clock
-from perception.geometry import Pose
 
 log = logging.getLogger(__name__)
 
@@ -149,22 +148,21 @@ class _World:
                 cell.repair()
                 power_on(cell.config.arm.host)
 
-            def begin() -> None:
-                cell.park(self._parked())
-                self._draw()
-
-            desk = SoakDesk(left, self._ended, repair, lambda: self._clock.now_s() > plan.end_s, begin)
+            desk = SoakDesk(
+                left, self._ended, repair, lambda: self._clock.now_s() > plan.end_s, lambda: self._begin(cell, mission)
+            )
             mission.serve(desk)
             if desk.given_up:
                 self._soak.given_up.append(f"world {self._number}: {desk.given_up}")
 
-    def _parked(self) -> Pose:
-        """T_base_port of the next mission's car."""
-        rng = np.random.default_rng([self._plan.seed, len(self._soak.lines), 3])
-        return draw_parking(self._site, rng)
+    def _begin(self, cell: MockCell, mission: Mission) -> None:
+        """Another car, unless the arm still stands before the port of the last one; and what this mission meets with.
 
-    def _draw(self) -> None:
-        """What happens to the mission that begins; resets and undocks between two missions are left alone."""
+        Resets and undocks between two missions are left alone.
+        """
+        if mission.task.plan is None:
+            rng = np.random.default_rng([self._plan.seed, len(self._soak.lines), 3])
+            cell.park(draw_parking(self._site, rng))
         self._trouble, self._state = draw(self._rng, self._plan.fault_share)
         self._planned_state, self._begun_s = self._state, self._clock.now_s()
 

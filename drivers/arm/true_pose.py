@@ -19,7 +19,7 @@ from perception.geometry import Array, Pose
 
 
 def true_states(told: list[ArmState], settings: UrSettings) -> list[ArmState]:
-    """The samples with their true poses. Half a minute at 500 Hz is asked for at once: no pose is worked out alone."""
+    """The samples with their true poses. A minute at 500 Hz is asked for at once: no pose is worked out alone."""
     if settings.errors is None or not told:
         return told
     corrections = _true_in_told_tcp(np.stack([state.joints for state in told]), settings.errors, settings)

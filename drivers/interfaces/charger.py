@@ -108,6 +108,11 @@ class ChargerStatus:
     electrical_time_s: float
     """Host's monotonic time of the last valid electrical frame; -inf before the first."""
 
+    @property
+    def forbids_motion(self) -> bool:
+        """Whether nothing may move: it says so, or it is in a state that does, whatever the bit says."""
+        return self.estop or self.motion_inhibit or self.state in (ChargerState.FAULT, ChargerState.ESTOP)
+
 
 @dataclass(frozen=True, slots=True)
 class Heartbeat:

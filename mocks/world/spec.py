@@ -83,5 +83,5 @@ class WorldSpec:
 
     @property
     def port_pose(self) -> Pose:
-        """``T_base_port``, the truth."""
+        """``T_base_port`` of the first car, the truth."""
         return Pose.from_vector(self.T_base_port)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
+from types import MappingProxyType
 
 import numpy as np
 
@@ -12,7 +14,7 @@ from perception.geometry import Array
 from perception.port_shape import PortShape
 from perception.port_solid import Ints, PortMesh, build_mesh, build_parts
 
-OTHERS: dict[str, PortShape] = {other_family.NAME: other_family.SHAPE}
+OTHERS: Mapping[str, PortShape] = MappingProxyType({other_family.NAME: other_family.SHAPE})
 """Ports that are bundled with no model and drawn by code of their own; a locator is given their mesh."""
 
 

@@ -93,7 +93,9 @@ def test_an_emergency_stop_at_the_robot_trips_everywhere(state: State, mode: Saf
 
 
 @pytest.mark.parametrize("state", POWERED)
-def test_an_emergency_stop_or_fault_at_the_charger_trips_everywhere(state: State) -> None:
+def test_an_emergency_stop_at_the_charger_trips_everywhere_and_once_released_all_but_the_self_check(
+    state: State,
+) -> None:
     seen = replace(GOOD, state=state)
     assert code(with_charger(seen, estop=True)) is FaultCode.EMERGENCY_STOP
     released = with_charger(seen, state=ChargerState.ESTOP)

@@ -160,6 +160,10 @@ def test_no_motion_without_fresh_arm_or_charger() -> None:
 
 def test_the_charger_can_inhibit_motion() -> None:
     assert rule(DOWN, situation(State.INSERTING, motion_inhibit=True)) == "charger"
+    for state in (ChargerState.ESTOP, ChargerState.FAULT):  # whatever the bit says
+        now = replace(situation(State.INSERTING), charger=replace(CHARGER, state=state))
+        assert rule(DOWN, now) == "charger"
+        assert said(OUT, replace(BEFORE_PORT, charger=now.charger)) == "charger: the charger inhibits motion"
     assert rule(DOWN, situation(State.INSERTING, estop=True)) == "charger"
 
 

@@ -2,15 +2,26 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
 import numpy as np
 import pytest
 
+from controller.cli import campaign
+from controller.cli import soak as soak_command
+from controller.config import load_config
+from controller.config_section import ConfigError
 from controller.faults import Fault, FaultCode, Outcome
 from controller.soak.desk import MOST_RESETS, SoakDesk
 from controller.soak.faults import NOTHING, TROUBLES, draw
 from controller.soak.figures import Footprint, growth
+from controller.soak.run import Plan, Soak, _World
 from controller.states import State
 from controller.task import Goal
+from drivers.base import MonotonicClock
+from perception.geometry import Pose
 
 
 def desk(missions: int = 2) -> tuple[SoakDesk, list[Outcome]]:
@@ -92,10 +103,10 @@ def test_a_blocked_port_is_an_outcome_in_ready_and_needs_no_reset() -> None:
     assert d.pending is Goal.CYCLE
 
 
-def test_a_car_parks_before_each_mission_and_never_while_a_plug_may_be_in() -> None:
-    parked: list[Goal | None] = []
+def test_the_begin_of_each_mission_is_told_and_that_of_no_reset_or_undock_in_between() -> None:
+    begun: list[Goal | None] = []
     d = SoakDesk(2, lambda outcome: None, lambda: None, lambda: False)
-    d.begins = lambda: parked.append(d._doing)
+    d.begins = lambda: begun.append(d._doing)
     for answer in (
         Outcome.of(Fault(FaultCode.ABORTED)),
         Outcome.of(Fault(FaultCode.PLUG_INSERTED_AT_START)),
@@ -104,4 +115,46 @@ def test_a_car_parks_before_each_mission_and_never_while_a_plug_may_be_in() -> N
     ):
         d.take()
         d.answered(answer)
-    assert parked == [Goal.CYCLE, Goal.CYCLE]
+    assert begun == [Goal.CYCLE, Goal.CYCLE]
+
+
+class Cell:
+    """Where cars have parked."""
+
+    def __init__(self) -> None:
+        self.parked: list[Pose] = []
+
+    def park(self, T_base_port: Pose) -> None:
+        self.parked.append(T_base_port)
+
+
+def test_a_car_parks_before_each_mission_unless_the_arm_stands_before_the_last_one() -> None:
+    plan = Plan(9, np.inf, 1, 1.0, 9, 1.0)
+    soak = Soak()
+    world: Any = _World(load_config(), plan, 0, np.random.default_rng(1), MonotonicClock(), soak, soak.lines.append)
+    cell: Any = Cell()
+    for stands_before in (None, "a plan", None):
+        world._begin(cell, SimpleNamespace(task=SimpleNamespace(plan=stands_before)))
+        assert world._trouble is not NOTHING and world._state == world._planned_state, "drawn for this very mission"
+        world._ended(Outcome("charged"))
+        assert world._trouble is NOTHING and world._state == "", "none for what comes in between"
+    assert len(cell.parked) == 2 and cell.parked[0].distance_to(cell.parked[1]) > 1e-4
+
+
+def test_the_site_in_a_hurry_is_one_for_which_a_soak_may_hurry() -> None:
+    hurried = load_config(Path("config/soak.yaml"))
+    soak_command.check_site(hurried, 4.0)
+    soak_command.check_site(load_config(), 3.0)
+    with pytest.raises(ConfigError, match="too early"):
+        soak_command.check_site(load_config(), 4.0)
+    holding = hurried.mission.model_copy(update={"on_final_failure": "hold"})
+    with pytest.raises(ConfigError, match="waits for nobody"):
+        soak_command.check_site(hurried.model_copy(update={"mission": holding}), 1.0)
+
+
+def test_a_campaigns_folder_is_of_one_site_and_pace(tmp_path: Path) -> None:
+    campaign.check_site(load_config(), 2.0, tmp_path / "site.yaml")
+    campaign.check_site(load_config(), 2.0, tmp_path / "site.yaml")
+    for site, pace in ((load_config(), 3.0), (load_config(Path("config/soak.yaml")), 2.0)):
+        with pytest.raises(ConfigError, match="another site or pace"):
+            campaign.check_site(site, pace, tmp_path / "site.yaml")

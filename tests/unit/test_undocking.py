@@ -15,7 +15,16 @@ from controller.faults import FaultCode, Outcome
 from controller.planning import FACING
 from controller.states import State
 from controller.task import Goal
-from drivers.base import ChargerRequest, ChargerState, Heartbeat, LinkOpenError, PlugLock, Proximity, SafetyMode
+from drivers.base import (
+    ChargerRequest,
+    ChargerState,
+    Heartbeat,
+    LinkOpenError,
+    PlugLock,
+    Proximity,
+    RequestResult,
+    SafetyMode,
+)
 from perception.geometry import Pose
 from tests.unit.mission_rig import CLOCK, MATED_DEPTH_M, Rig
 
@@ -265,6 +274,29 @@ def test_after_an_emergency_stop_at_the_charger_a_docked_plug_is_taken_out(tmp_p
     outcomes = rig.serve(Goal.DOCK, stop.release, Goal.RESET, Goal.UNDOCK)
     assert [code(o) for o in outcomes] == [FaultCode.EMERGENCY_STOP, FaultCode.PLUG_INSERTED_AT_START, None]
     assert outcomes[-1].kind == "undocked" and rig.arm.depth_m < 0.0
+
+
+def test_a_daemon_that_starts_after_one_with_the_plug_in_takes_no_undock_for_a_reset(tmp_path: Path) -> None:
+    rig = docked_by_an_earlier_process(tmp_path)
+    PressedAtTheCharger(rig).release()
+    moves = len(rig.arm.moves)
+    outcomes = rig.serve(Goal.UNDOCK, Goal.DOCK, Goal.RESET, Goal.UNDOCK)
+    stopped = FaultCode.EMERGENCY_STOP
+    at_start_and_after = [stopped] * 3
+    assert [code(o) for o in outcomes] == [*at_start_and_after, FaultCode.PLUG_INSERTED_AT_START, None]
+    assert outcomes[-1].kind == "undocked"
+    resets = [k for k, r in enumerate(rig.charger.requests) if r is ChargerRequest.RESET_FAULT]
+    assert len(resets) == 1 and "comply" not in rig.arm.moves[:moves]
+
+
+def test_a_charger_that_refuses_the_reset_is_quoted(tmp_path: Path) -> None:
+    rig = Rig(tmp_path)
+    rig.charger.forced = {"state": ChargerState.ESTOP, "motion_inhibit": True}
+    rig.charger.result = lambda number: RequestResult.REJECTED  # type: ignore[method-assign]
+    rig.charger.refusal = lambda: "PowerNotOff"  # type: ignore[method-assign]
+    outcomes = rig.serve(Goal.RESET)
+    assert "PowerNotOff" not in str(outcomes[0].fault), "at the start nothing is asked for"
+    assert "PowerNotOff" in str(outcomes[1].fault)
 
 
 def test_a_daemon_that_starts_after_one_does_not_reset_the_charger_by_itself(tmp_path: Path) -> None:
