@@ -77,7 +77,6 @@ class InsertionValues(Section):
     """Of one turn to and fro."""
     search_push_n: Annotated[float, Field(gt=0, le=60)] = 15.0
     """Axial push while searching: enough to fall in, little enough to slide."""
-    """Lateral force with which the plug is led along the spiral."""
     search_gain_mm: Annotated[float, Field(gt=0, le=10)] = 1.0
     """Depth gained while searching that counts as having found the way in."""
     search_s: Annotated[float, Field(gt=0, le=60)] = 15.0

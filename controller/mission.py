@@ -1,8 +1,8 @@
 """The state machine at work: which step belongs to which state, what ends a job, what a fault does.
 
 The steps themselves are in ``self_check``, ``docking`` and ``undocking``, each in the order of the procedure. A mission
-that is run once (dry run, soak) has one job; the daemon's serves one job after the other and rests in READY, in
-CHARGING with a docked plug, or in FAULT until an operator's reset.
+that is run once (dry run, teaching, a campaign's cell) has one job; a daemon's or a soak's serves one job after the
+other and rests in READY, in CHARGING with a docked plug, or in FAULT until an operator's reset.
 """
 
 from __future__ import annotations
@@ -151,6 +151,8 @@ class Mission:
         elif self.state is State.READY and self.now.goal is not None and self.now.under_way:
             self._give_back()
             self._conclude(self.now.result())
+        elif self.state is State.READY and self.task.desk.pending is None:  # a stop until then stops no later job
+            self.task.cell.supervisor.clear_stop()
 
     def _longest_stay_s(self) -> float | None:
         if self.state in RESTING:

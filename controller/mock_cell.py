@@ -266,7 +266,9 @@ def _await_ready(process: subprocess.Popen[str], longest_s: float) -> dict[str, 
             if process.poll() is not None:
                 break
     name = process.args[3] if isinstance(process.args, list) else "a mock"
-    raise LinkOpenError(f"the mock {name} did not start", remedy="See its log (mock-*.log) in the run's folder.")
+    raise LinkOpenError(
+        f"the mock {name} did not start", remedy="Run `portdock mock scanner`, `arm` or `charger` by hand to see why."
+    )
 
 
 def _vector(pose: Pose) -> tuple[float, float, float, float, float, float]:

@@ -23,7 +23,7 @@ class PlanRefusedError(PortdockError):
     """No safe plan exists for this estimate."""
 
     code = "plan-refused"
-    default_remedy = "Park the car within the arm's reach, or choose another staging pose."
+    default_remedy = "Park the car within the arm's reach, or change scan.viewpoints."
 
 
 @dataclass(frozen=True, slots=True, eq=False)

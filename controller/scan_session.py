@@ -1,6 +1,7 @@
 """Sweeps outside a mission: to record a scan, and to measure the scanner's time offset. The gate and the tick are live.
 
-A sweep moves the arm in front of a vehicle, so a plug that may be in the port forbids it here as it does in a mission.
+A sweep moves the arm in front of a vehicle, so a plug that the proximity contact does not report absent forbids it. One
+that is half in is not noticed here: no axis of an insertion is recalled.
 """
 
 from __future__ import annotations

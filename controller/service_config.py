@@ -14,7 +14,7 @@ class ServiceConfig(Section):
 
     socket: str | None = None
     """UNIX socket for `portdock dock` and the like. None: `portdock.sock` in the runtime folder (`/run/portdock` under
-    systemd, else `$XDG_RUNTIME_DIR/portdock`)."""
+    systemd, else `$XDG_RUNTIME_DIR/portdock`, else `/tmp/portdock-UID`)."""
     state_folder: str | None = None
     """What must survive a restart: the axis of an insertion, the lock. None: `$STATE_DIRECTORY` under systemd, else
     `~/.local/state/portdock`."""

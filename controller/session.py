@@ -1,6 +1,6 @@
 """One mission from configuration to evidence: open the devices, run it, close everything, write the report.
 
-Dry run and daemon come through here; they differ in the configuration's addresses and in who watches.
+Dry run and the bench's docking come through here; daemon, soak and campaign use its parts.
 """
 
 from __future__ import annotations
@@ -150,7 +150,8 @@ def record_looks(cell: Cell, looks: Looks) -> None:
 
 def log_dock(config: SiteConfig, job: Progress) -> tuple[str, ...]:
     """A dock that succeeded goes into the drift log; what the chart says then."""
-    if job.T_base_tcp_mated is None or job.plan is None or job.outcome is None or job.outcome.kind != "charged":
+    docked = job.outcome is not None and job.outcome.kind in ("charged", "charging")  # of a cycle, of the daemon's dock
+    if job.T_base_tcp_mated is None or job.plan is None or not docked:
         return ()
     plan, folder = job.plan, Path(config.calibration.folder)
     if config.arm.host.startswith("127.") and not folder.exists():

@@ -55,7 +55,7 @@ class Event(enum.Enum):
     RESUMED = "resumed"
     RESET = "operator's reset"
     SHUT_DOWN = "shut down"
-    # valid in every state
+    # STOP: see STOPS; the others latch wherever there is power
     STOP = "stop requested"
     ABORT = "abort requested"
     ESTOP = "emergency stop"

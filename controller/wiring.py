@@ -1,4 +1,4 @@
-"""The composition root: configuration -> devices. The only module that names concrete drivers and mocks."""
+"""The composition root: configuration -> devices. The only module that names concrete drivers."""
 
 from __future__ import annotations
 

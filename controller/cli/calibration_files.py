@@ -1,4 +1,4 @@
-"""``portdock calibrate show | compare | restore``: the calibration files of a site."""
+"""``portdock calibrate show | budget | compare | restore``: the calibration files of a site."""
 
 from __future__ import annotations
 

@@ -12,6 +12,7 @@ from controller.config_keys import json_schema, listing
 from controller.config_layers import layers, merged
 from controller.config_section import ConfigError
 from controller.port_files import load_port
+from controller.precision import refuse_too_coarse
 from controller.scanner_files import load_scanner
 from controller.wiring import check_charger
 
@@ -24,6 +25,7 @@ def check(file: Annotated[Path, typer.Argument(help="A site file (YAML).")]) -> 
     config = load_config(file)
     load_port(config.port.model)
     load_scanner(config.scanner.format)
+    refuse_too_coarse(config)
     check_charger(config)
     print(f"{file}: ok (site {config.site}, port {config.port.model}, arm {config.arm.model})")
 

@@ -16,6 +16,7 @@ import typer
 from controller.calibrations.in_force import calibrated
 from controller.config import SiteConfig, load_config
 from controller.config_section import ConfigError
+from controller.precision import refuse_too_coarse
 from controller.scenarios import SCENARIOS
 
 if TYPE_CHECKING:
@@ -25,7 +26,7 @@ JOURNAL_LEVELS = ((logging.CRITICAL, 2), (logging.ERROR, 3), (logging.WARNING, 4
 
 
 def run(
-    config: Annotated[Path | None, typer.Option(help="The site file. With --mock only what differs from it.")] = None,
+    config: Annotated[Path | None, typer.Option(help="The site file; with --mock addresses are the mocks'.")] = None,
     mock: Annotated[bool, typer.Option("--mock", help="Run on mock devices: nothing real is opened.")] = False,
     fast: Annotated[bool, typer.Option("--fast", help="With --mock: wires and arm twice as fast.")] = False,
     scenario: Annotated[str, typer.Option(help="With --mock: one of " + ", ".join(SCENARIOS) + ".")] = "nominal",
@@ -42,6 +43,7 @@ def run(
     site = calibrated(load_config(config))
     if pace != 1.0 and not site.arm.host.startswith("127."):
         raise ConfigError("--pace is for mocks only", remedy="Leave it out.")
+    refuse_too_coarse(site)
     from controller.daemon.life import Setting, run_daemon  # devices take seconds to import
 
     run_daemon(Setting(site, site.arm.host, config), assemble_at(pace, 2 if pace == 1.0 else 1))

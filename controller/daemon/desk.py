@@ -86,6 +86,8 @@ class JobDesk:
                 return self._accept(GOALS[request])
             if request is Request.ABORT:
                 self._interrupts.request_abort()
+                if self._state() is State.FAULT and not self._under_way:  # no result would follow
+                    return Answer("nothing-to-do", reason="in FAULT nothing moves")
                 return Answer("accepted", self._job if self._under_way else None)
             return self._stop()
 

@@ -44,7 +44,8 @@ class Plan:
     pace: float
     scenario: str = "nominal"
     mock_cell: int | None = None
-    """Whose calibration errors there are, and whose calibrations are used; None: each world has errors of its own."""
+    """Whose calibration errors there are, and whose calibrations are used; None: the kept cell's where the site is
+    built as the bundled one, else each world's own."""
 
 
 @dataclass(frozen=True, slots=True)

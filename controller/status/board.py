@@ -53,7 +53,7 @@ class Status:
 
     @property
     def healthy(self) -> bool:
-        """Whether nobody is needed: links up and no latched fault."""
+        """Links up and no latched fault. A mission that asked for a person may still be the last one."""
         return self.fault is None and self.state != State.OFFLINE.name and all(link.up for link in self.links)
 
     def to_json(self) -> dict[str, Any]:

@@ -12,9 +12,11 @@ from pathlib import Path
 import pytest
 
 from controller.daemon.client import DaemonClient
+from controller.daemon.desk import JobDesk
 from controller.daemon.protocol import Request, ResultEvent, StateEvent
 from controller.daemon.server import BACKLOG_BYTES
 from controller.recording.reader import read_recording
+from controller.states import State
 from drivers.base import PlugLock
 from tests.unit.daemon_rig import LIMIT_S, SILENT, Nursery, Service
 
@@ -53,6 +55,29 @@ def recordings(folder: Path) -> list[Path]:
 
 def motions(daemon: Service) -> list[str]:
     return [move for move in daemon.world()["moves"] if move != "stop"]
+
+
+class Interrupts:
+    """What the desk passes on at once."""
+
+    def __init__(self) -> None:
+        self.asked: list[str] = []
+
+    def request_stop(self) -> None:
+        self.asked.append("stop")
+
+    def request_abort(self) -> None:
+        self.asked.append("abort")
+
+
+@pytest.mark.parametrize(("state", "answer"), [(State.FAULT, "nothing-to-do"), (State.READY, "accepted")])
+def test_an_abort_is_always_passed_on_and_answered_at_once_where_no_result_would_follow(
+    state: State, answer: str
+) -> None:
+    desk, interrupts = JobDesk(lambda event: None), Interrupts()
+    desk.open(interrupts, lambda: state)
+    assert desk.submit(Request.ABORT).answer == answer
+    assert interrupts.asked == ["abort"]
 
 
 # --- jobs -------------------------------------------------------------------------------------------------------------

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,7 +15,10 @@ from controller.calibrations.in_force import basis_of, mock_names, on_mock_cell
 from controller.cli.main import app
 from controller.config import load_config
 from controller.config_section import ConfigError
+from controller.faults import Outcome
 from controller.mock_calibrations import KEPT_NAME, as_calibrated
+from controller.session import log_dock
+from controller.task import Goal, Progress
 from perception.calibration.drift import Dock
 from perception.geometry import Pose
 
@@ -92,3 +97,21 @@ def test_a_scenario_that_does_not_exist_is_refused_by_name() -> None:
     result = CliRunner().invoke(app, ["calibrate", "drift", "--mock-cell", "0", "--scenario", "nominall"])
     assert isinstance(result.exception, ConfigError)
     assert "no scenario is called 'nominall'" in str(result.exception)
+
+
+@pytest.mark.parametrize(("kind", "logged"), [("charged", 1), ("charging", 1), ("undocked", 0), ("stopped", 0)])
+def test_each_dock_that_led_to_a_charge_is_logged_the_daemons_too(tmp_path: Path, kind: str, logged: int) -> None:
+    site = load_config()
+    calibration = site.calibration.model_copy(update={"folder": str(tmp_path)})
+    site = site.model_copy(update={"calibration": calibration})
+    plan: Any = SimpleNamespace(T_base_port=Pose.identity(), T_port_tcp_mated=Pose.identity())
+    job = Progress(Goal.DOCK, T_base_tcp_mated=Pose.identity(), plan=plan, outcome=Outcome(kind))  # type: ignore[arg-type]
+    log_dock(site, job)
+    assert len(read_docks(tmp_path)) == logged
+
+
+def test_a_charge_that_was_found_is_no_dock(tmp_path: Path) -> None:
+    site = load_config()
+    calibration = site.calibration.model_copy(update={"folder": str(tmp_path)})
+    log_dock(site.model_copy(update={"calibration": calibration}), Progress(Goal.RESET, outcome=Outcome("charging")))
+    assert not read_docks(tmp_path)

@@ -26,7 +26,7 @@ from drivers.base import (
     SafetyMode,
 )
 from perception.geometry import Pose
-from tests.unit.mission_rig import CLOCK, MATED_DEPTH_M, Rig
+from tests.unit.mission_rig import CLOCK, MATED_DEPTH_M, Rig, Script
 
 DOCKED = ["SELF_CHECK", "READY", "STAGING", "SCANNING", "LOCATING", "APPROACHING", "INSERTING", "VERIFYING", "CHARGING"]
 UNDOCKED = ["RELEASING", "RETREATING", "READY"]
@@ -129,7 +129,7 @@ class Patient:
             self._then()
 
 
-def run_with(rig: Rig, desk: Patient) -> None:
+def run_with(rig: Rig, desk: Patient | Script) -> None:
     rig.supervisor.start()
     try:
         rig.mission.serve(desk)
@@ -213,6 +213,33 @@ def test_a_latched_fault_answers_every_job_but_the_reset(tmp_path: Path) -> None
     assert kinds(outcomes) == ["fault", "fault", "fault", "ready", "charging"]
     assert {code(o) for o in outcomes[:3]} == {FaultCode.ABORTED}
     assert rig.arm.recoveries == 1
+
+
+class AfterReady(Script):
+    """A desk that nobody has come to before the robot is ready."""
+
+    def __init__(self, rig: Rig, *jobs: Goal | Callable[[], None]) -> None:
+        super().__init__(*jobs)
+        self._rig, self._looked = rig, False
+
+    @property
+    def pending(self) -> Goal | None:
+        ready, self._looked = self._looked, self._rig.mission.state is State.READY
+        return super().pending if ready else None
+
+
+def test_a_stop_during_the_first_self_check_stops_no_later_job(tmp_path: Path) -> None:
+    rig = Rig(tmp_path)
+    rig.at("SELF_CHECK", rig.supervisor.request_stop)
+    desk = AfterReady(rig, Goal.DOCK)
+    run_with(rig, desk)
+    assert kinds(desk.outcomes) == ["charging"]
+
+
+def test_a_stop_during_the_self_check_of_a_job_that_waits_stops_that_job(tmp_path: Path) -> None:
+    rig = Rig(tmp_path)
+    rig.at("SELF_CHECK", rig.supervisor.request_stop)
+    assert kinds(rig.serve(Goal.DOCK)) == ["stopped"]
 
 
 def test_a_reset_that_the_arm_does_not_take_leaves_the_fault_latched(tmp_path: Path) -> None:
