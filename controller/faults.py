@@ -50,7 +50,7 @@ class FaultCode(enum.Enum):
 
 REMEDIES: dict[FaultCode, str] = {
     FaultCode.PORT_NOT_FOUND: "Look at the report's reasons; check cover, port type and where the car stands.",
-    FaultCode.PLAN_REFUSED: "Park the car within the arm's reach, or change scan.viewpoints: the approach starts there.",
+    FaultCode.PLAN_REFUSED: "Park the car within the arm's reach, or change scan.viewpoints, where approaches start.",
     FaultCode.SCAN_FAILED: "Check the scanner's cable and window; look at the lost-profile counters in the report.",
     FaultCode.INSERTION_BLOCKED: "Look into the port for an obstacle; compare the contact offsets in the report.",
     FaultCode.NOT_MATED: "Check the plug's proximity contact and latch.",
