@@ -23,6 +23,7 @@ from controller.commands import (
     SetOutput,
     StopMotion,
     ZeroForce,
+    described,
 )
 from controller.faults import FaultCode, MissionFault
 from controller.planning import ReachCheck
@@ -106,7 +107,7 @@ class Cell:
         if not makes_safe(command) and not (isinstance(command, BackOff) and self.supervisor.lets_back_off):
             self._raise_trip()
         refusal = check(command, self.situation(), self.limits)
-        name, detail = type(command).__name__, _described(command)
+        name, detail = type(command).__name__, described(command)
         self.records.command(name, detail, refusal is None, "" if refusal is None else str(refusal))
         if refusal is not None:
             raise self.explained(FaultCode.GATE_REFUSED, f"{name} ({detail}): {refusal}")
@@ -247,11 +248,21 @@ class Cell:
             raise self.explained(FaultCode.ARM_NOT_READY, error.cause) from error
 
     def restore_links(self) -> None:
-        """For an operator's reset: what was lost is opened again. Raises DriverError; the arm does not move."""
+        """For an operator's reset: what was lost is opened again. Raises DriverError; the arm does not move.
+
+        A scanner that stays lost is the next dock's matter: a plug is taken out without one.
+        """
+        try:
+            self.restore_scanner()
+        except PortdockError as error:
+            log.error("the scanner stays lost: %s", error)
+        self.arm.recover()
+
+    def restore_scanner(self) -> None:
+        """Open the scanner again if its line is down: an adapter may have gone and come. Raises DriverError."""
         if not self.scanner.health().up:
             self.scanner.close()
             self.scanner.open()
-        self.arm.recover()
 
     def enter(self, state: State, stay_s: float | None) -> None:
         """Tell supervisor and gate that the mission is in ``state`` now."""
@@ -263,30 +274,3 @@ _LINK_OF: dict[type, FaultCode] = {
     AskCharger: FaultCode.CHARGER_LINK_LOST,
     Announce: FaultCode.CHARGER_LINK_LOST,
 }
-
-
-def _described(command: Command) -> str:
-    """A command's arguments, short, for log and recording."""
-    match command:
-        case MoveJoints(target, speed, _):
-            return f"to {_millimetres(target)} mm, {speed:.2f} rad/s"
-        case MoveLinear(target, speed, _) | BackOff(target, speed, _):
-            return f"to {_millimetres(target)} mm, {speed * 1000:.0f} mm/s"
-        case MoveVelocity(velocity, _):
-            return f"{[round(float(v) * 1000, 1) for v in velocity[:3]]} mm/s"
-        case Comply(compliance):
-            return f"wrench {[round(w, 1) for w in compliance.wrench]}"
-        case Laser(on):
-            return "on" if on else "off"
-        case SetOutput(number, level):
-            return f"{number} {'high' if level else 'low'}"
-        case AskCharger(request):
-            return request.name
-        case Announce(pose):
-            return "none" if pose is None else f"{_millimetres(pose.T_base_port)} mm"
-        case StopMotion() | ZeroForce():
-            return ""
-
-
-def _millimetres(pose: Pose) -> list[float]:
-    return [round(float(v) * 1000, 1) for v in pose.translation]

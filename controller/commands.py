@@ -91,3 +91,30 @@ class Announce:
 
 Motion = MoveJoints | MoveLinear | MoveVelocity | Comply
 Command = Motion | BackOff | StopMotion | ZeroForce | Laser | SetOutput | AskCharger | Announce
+
+
+def described(command: Command) -> str:
+    """A command's arguments, short, for log and recording."""
+    match command:
+        case MoveJoints(target, speed, _):
+            return f"to {_millimetres(target)} mm, {speed:.2f} rad/s"
+        case MoveLinear(target, speed, _) | BackOff(target, speed, _):
+            return f"to {_millimetres(target)} mm, {speed * 1000:.0f} mm/s"
+        case MoveVelocity(velocity, _):
+            return f"{[round(float(v) * 1000, 1) for v in velocity[:3]]} mm/s"
+        case Comply(compliance):
+            return f"wrench {[round(w, 1) for w in compliance.wrench]}"
+        case Laser(on):
+            return "on" if on else "off"
+        case SetOutput(number, level):
+            return f"{number} {'high' if level else 'low'}"
+        case AskCharger(request):
+            return request.name
+        case Announce(pose):
+            return "none" if pose is None else f"{_millimetres(pose.T_base_port)} mm"
+        case StopMotion() | ZeroForce():
+            return ""
+
+
+def _millimetres(pose: Pose) -> list[float]:
+    return [round(float(v) * 1000, 1) for v in pose.translation]

@@ -180,6 +180,11 @@ def charge(task: Task) -> Event | None:
     ended = cell.supervisor.wait(
         lambda: desk.leaving or cell.charger_says(lambda s: not _flows(task, s)), mission.charge_s
     )
+    if ended and cell.charger_says(lambda s: s.state is ChargerState.STOPPING):  # on its way to Finished, or to a fault
+        cell.supervisor.wait(
+            lambda: desk.leaving or not cell.charger_says(lambda s: s.state is ChargerState.STOPPING),
+            task.config.deadlines.releasing_s,
+        )
     if desk.leaving:
         return None
     if ended and not cell.charger_says(_rests):

@@ -125,8 +125,9 @@ class Mission:
             if self.state is State.CHARGING and self.task.desk.leaving:  # which switches off, and moves nothing
                 self.task.cell.supervisor.clear_stop()
                 return None
-            if self.now.outcome is not None:  # docked, and no job is under way: the stop is one
+            if not self.now.going_on:  # docked, and no job: the stop is one
                 self._begin(Goal.UNDOCK)
+            self.task.cell.supervisor.clear_stop()  # it belongs to this job
             self.now.stopping = True
             return self._freeze(Event.STOP)
         except PauseRequested as pause:
@@ -155,10 +156,9 @@ class Mission:
             self.task.cell.supervisor.clear_stop()
 
     def _longest_stay_s(self) -> float | None:
-        if self.state in RESTING:
+        if self.state in RESTING or (self.state is State.CHARGING and not self.now.going_on):
             return None
-        stay_s: float = getattr(self.task.config.deadlines, f"{self.state.name.lower()}_s")
-        return stay_s
+        return float(getattr(self.task.config.deadlines, f"{self.state.name.lower()}_s"))
 
     def _latch(self, fault: Fault) -> Event:
         if fault.code is FaultCode.CHARGER_LINK_LOST and self.state is State.APPROACHING:
@@ -186,8 +186,14 @@ class Mission:
         """The job, if there is one, is over."""
         log.info("outcome: %s%s", outcome.kind, "" if outcome.fault is None else f" ({outcome.fault})")
         self.now.outcome = outcome
-        self.task.cell.supervisor.clear_stop()
-        self.task.watcher.ended(outcome, self.now)
+        if self.task.desk.pending is None:  # else a stop may be meant for the job that waits
+            self.task.cell.supervisor.clear_stop()
+        if self.state is State.CHARGING:  # the job is over, the rest has no deadline
+            self.task.cell.enter(self.state, None)
+        try:
+            self.task.watcher.ended(outcome, self.now)
+        except Exception:  # evidence costs neither the charge nor the answer
+            log.exception("the evidence of this mission is not complete")
         self.task.desk.answered(outcome)
 
     def _give_back(self) -> None:
@@ -218,11 +224,15 @@ class Mission:
         self._begin(goal)
         if not task.cell.charger_says(lambda s: s.proximity is Proximity.ABSENT):
             raise MissionFault(FaultCode.PLUG_INSERTED_AT_START, "the proximity contact reports a plug")
+        try:
+            task.cell.restore_scanner()
+        except PortdockError as error:
+            raise MissionFault(FaultCode.SCANNER_LINK_LOST, error.cause) from error
         return Event.DOCK_REQUESTED
 
     def _charging(self, task: Task) -> Event | None:
         """Begin the charge, or, docked already, watch it until something is asked for."""
-        if self.now.under_way and self.now.outcome is None:
+        if self.now.going_on:
             return self._charge_for_job(task)
         if (ended := watch_charge(task)) is not None:
             self._begin(Goal.UNDOCK)
@@ -259,6 +269,7 @@ class Mission:
         if desk.leaving:
             return Event.SHUT_DOWN
         goal, fault = desk.take(), self.fault or Fault(FaultCode.INTERNAL)
+        task.cell.supervisor.forget_requests()  # now, not once the links are up: an abort meanwhile is one
         asked_for = goal is Goal.UNDOCK and fault.code is FaultCode.PLUG_INSERTED_AT_START
         if goal is not Goal.RESET and not asked_for:
             self._answer(Outcome.of(fault))

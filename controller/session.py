@@ -29,7 +29,7 @@ from controller.precision import refuse_too_coarse
 from controller.recording.candump import candump_text
 from controller.recording.log import log_into
 from controller.recording.recorder import Recorder
-from controller.recording.ring import prune
+from controller.recording.ring import CHARGER_LOSS_NAME, prune
 from controller.summary import ContactSummary, LocateSummary, MissionSummary
 from controller.task import Goal, Progress
 from drivers.base import CanFrame, MonotonicClock
@@ -43,7 +43,6 @@ log = logging.getLogger(__name__)
 
 RECORDING_NAME = "mission.mcap"
 REPORT_NAME = "report.html"
-CHARGER_LOSS_NAME = "charger-loss.log"
 """The last seconds of CAN traffic before the charger fell silent: `portdock charger monitor --file` reads it."""
 
 
@@ -131,7 +130,7 @@ def run_session(
         mission.run()
         summary = summary_of(mission.now, watcher.durations(live.cell.clock.now_s()), truth, folder, config)
         close_recording(recorder, live.cell, summary)
-    prune(Path(config.recording.folder), int(config.recording.keep_mb * 1e6))
+    prune(Path(config.recording.folder), int(config.recording.keep_mb * 1e6), keep=folder / RECORDING_NAME)
     return with_report(summary, folder)
 
 

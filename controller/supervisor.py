@@ -125,12 +125,13 @@ class Supervisor:
         self._request.stop = False
 
     def reset(self) -> None:
-        """An operator's reset: forget the latched trip and old requests."""
+        """An operator's reset: forget the latched trip."""
         with self._changed:
             self._trip, self._halted = None, False
-            self._request = _Request()
 
-    # --- what others ask it
+    def forget_requests(self) -> None:
+        """Stops and aborts from before this moment."""
+        self._request = _Request()
 
     @property
     def trip(self) -> Fault | None:

@@ -95,6 +95,11 @@ class Progress:
     outcome: Outcome | None = None
     stopping: bool = False
 
+    @property
+    def going_on(self) -> bool:
+        """Whether there is a job that has no outcome yet."""
+        return self.under_way and self.outcome is None
+
     def result(self) -> Outcome:
         """What the job has come to, back in READY."""
         if self.stopping:

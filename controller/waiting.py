@@ -15,10 +15,16 @@ log = logging.getLogger(__name__)
 def hold(task: Task) -> Event:
     """Wait until the reason for the pause is gone, then start over at staging."""
     supervisor = task.cell.supervisor
-    if not supervisor.wait(lambda: supervisor.pause is None, task.config.deadlines.hold_s):
-        raise MissionFault(FaultCode.DEADLINE, "the pause lasted too long")
-    task.cell.recover_arm()
-    return Event.RESUMED
+    while True:
+        if not supervisor.wait(lambda: supervisor.pause is None, task.config.deadlines.hold_s):
+            raise MissionFault(FaultCode.DEADLINE, "the pause lasted too long")
+        try:
+            task.cell.recover_arm()
+        except MissionFault:
+            if supervisor.trip is not None or supervisor.pause is None:
+                raise
+            continue  # somebody has stepped back into the zone meanwhile
+        return Event.RESUMED
 
 
 def leave_docked(task: Task) -> Event:

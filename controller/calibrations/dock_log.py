@@ -63,7 +63,7 @@ def append_dock(folder: Path, basis: str, dock: Dock) -> None:
 def read_docks(folder: Path) -> list[LoggedDock]:
     """Oldest first. A line that was cut short is left out."""
     try:
-        lines = (folder / NAME).read_text(encoding="utf-8").splitlines()
+        lines = (folder / NAME).read_text(encoding="utf-8", errors="replace").splitlines()
     except OSError:
         return []
     found = []

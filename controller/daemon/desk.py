@@ -22,6 +22,7 @@ class Interrupts(Protocol):
 
     def request_stop(self) -> None: ...
     def request_abort(self) -> None: ...
+    def clear_stop(self) -> None: ...
 
 
 class JobDesk:
@@ -94,13 +95,15 @@ class JobDesk:
     def _accept(self, goal: Goal) -> Answer:
         if self._under_way:
             return Answer("refused", self._job, f"job {self._job} is under way; see `portdock status`")
+        if self._interrupts is not None:
+            self._interrupts.clear_stop()  # one that came while the last job ended
         self._job += 1
         self._pending, self._under_way = goal, True
         return Answer("accepted", self._job)
 
     def _stop(self) -> Answer:
         assert self._interrupts is not None
-        if not self._under_way and self._state() in RESTING:
+        if not self._under_way and self._state() in RESTING | {State.SELF_CHECK}:
             return Answer("nothing-to-do", reason=f"nothing is under way in {self._state().name}")
         self._interrupts.request_stop()
         return Answer("accepted", self._job if self._under_way else None)
@@ -111,7 +114,9 @@ class JobDesk:
         """End the process: at once from a state of rest, after a stop that finishes safely from any other."""
         with self._lock:
             self._leaving = True
-            if self._interrupts is not None and self._state() not in RESTING | {State.CHARGING}:
+            state = self._state()
+            begins = state is State.READY and self._under_way and self._pending is None
+            if self._interrupts is not None and (begins or state not in RESTING | {State.CHARGING}):
                 self._interrupts.request_stop()
 
     def leave_now(self) -> None:

@@ -99,7 +99,7 @@ def request_of(line: bytes) -> Request:
     """What a line asks. Raises InputError with what is wrong with it."""
     try:
         values = json.loads(line)
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:  # the latter: a line of nothing but brackets
         raise InputError("not a JSON object") from error
     if not isinstance(values, dict) or not isinstance(values.get("request"), str):
         raise InputError('no "request" with a text')

@@ -103,7 +103,10 @@ class Recordings:
         watcher = self._watcher
         if self._recorder is not None and watcher is not None and watcher.passed and self._cell is not None:
             states = watcher.durations(self._cell.clock.now_s())
-            summary = summary_of(job, states, None, self._recorder.path.parent, self._config)
+            try:
+                summary = summary_of(job, states, None, self._recorder.path.parent, self._config)
+            except Exception:  # the mission goes on without one
+                log.exception("%s lacks its summary", self._recorder.path)
         self._finish(summary)
         self._ended(outcome, job, summary)
 
@@ -129,8 +132,14 @@ class Recordings:
             log.exception("%s lacks its end", recorder.path)
         self._closing.close()
         give_back()
+        try:
+            self._tidy_up(recorder)
+        except Exception:  # a disk that fails, a process that does not start: costs a report, never a charge
+            log.exception("recordings are not tidied up, or no report is drawn")
+
+    def _tidy_up(self, recorder: Recorder) -> None:
         recording = self._config.recording
-        prune(Path(recording.folder), int(recording.keep_mb * 1e6))
+        prune(Path(recording.folder), int(recording.keep_mb * 1e6), keep=recorder.path)
         if self._reports and recorder.failure is None:
             self._draw(recorder.path)
 

@@ -96,7 +96,7 @@ class CommandServer:
                 elif key.fileobj == self._wake_read:
                     self._woken()
                 elif (client := self._clients.get(key.fd)) is not None:
-                    self._talk(client, mask)
+                    self._talk_or_drop(client, mask)
             self._spread()
         self._spread()
         for client in list(self._clients.values()):
@@ -107,7 +107,10 @@ class CommandServer:
         with contextlib.suppress(BlockingIOError):
             for number in os.read(self._wake_read, 4096):
                 if number:
-                    self._on_signal(number)
+                    try:
+                        self._on_signal(number)
+                    except Exception:  # this thread is the only one that hears signals
+                        log.exception("signal %d", number)
 
     def _accept(self) -> None:
         with contextlib.suppress(OSError):
@@ -115,6 +118,13 @@ class CommandServer:
             line.setblocking(False)
             self._clients[line.fileno()] = _Client(line)
             self._selector.register(line, selectors.EVENT_READ)
+
+    def _talk_or_drop(self, client: _Client, mask: int) -> None:
+        try:
+            self._talk(client, mask)
+        except Exception:  # a defect costs one client its line, not all of them the daemon
+            log.exception("a client's line")
+            self._drop(client)
 
     def _talk(self, client: _Client, mask: int) -> None:
         if mask & selectors.EVENT_READ:

@@ -27,11 +27,17 @@ class RecordingFile:
         """Create the file. ``wall_offset_ns`` added to the host's monotonic time gives the wall clock's."""
         self._wall_offset_ns = wall_offset_ns
         self._stream = _UnbufferedFile(path)
-        self._writer = Writer(self._stream, chunk_size=chunk_bytes, compression=CompressionType.ZSTD)  # type: ignore[arg-type]
-        self._writer.start(profile="", library=LIBRARY)
-        self._channels = {topic.name: self._register(topic) for topic in TOPICS}
         self._pending = 0
-        self.metadata("format", {"version": FORMAT_VERSION, "wall_offset_ns": str(wall_offset_ns)})
+        try:
+            self._writer = Writer(self._stream, chunk_size=chunk_bytes, compression=CompressionType.ZSTD)  # type: ignore[arg-type]
+            self._writer.start(profile="", library=LIBRARY)
+            self._channels = {topic.name: self._register(topic) for topic in TOPICS}
+            self.metadata("format", {"version": FORMAT_VERSION, "wall_offset_ns": str(wall_offset_ns)})
+        except BaseException:  # a full disk: neither a descriptor nor a recording of a few bytes is left behind
+            self._stream.close()
+            with contextlib.suppress(OSError):
+                path.unlink()
+            raise
 
     def message(self, topic: Topic, time_ns: int, sequence: int, data: bytes) -> None:
         """Append one message with the host's monotonic time ``time_ns`` and its number within the topic."""

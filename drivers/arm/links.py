@@ -17,6 +17,7 @@ from drivers.arm import messages as m
 from drivers.arm.dashboard import Dashboard
 from drivers.arm.errors import ControlLinkLostError, ReadBackError
 from drivers.arm.opening import check_robot, start_error
+from drivers.arm.outputs import OutputLink
 from drivers.arm.settings import UrSettings
 from drivers.arm.telemetry import Telemetry
 from drivers.arm.worker_client import WorkerClient
@@ -53,6 +54,7 @@ class Links:
         self._clock = clock
         self._telemetry: Telemetry | None = None
         self._worker: WorkerClient | None = None
+        self._outputs = OutputLink(settings.host)
         self._ender: threading.Thread | None = None
         self._restarting = False
         self._safe = True
@@ -83,14 +85,20 @@ class Links:
             if self._ender is not None:
                 self._ender.join()
             self._end_program_quietly()
+            self._outputs.close()  # a controller that was switched off has forgotten it
             self.open()
         finally:
             self._restarting = False
 
     def close(self) -> None:
-        """End the script and both links. Idempotent."""
+        """End the script and all links. Idempotent."""
         self._close_worker()
         self._close_telemetry()
+        self._outputs.close()
+
+    def set_output(self, number: int, level: bool) -> None:
+        """Switch a standard digital output, 0 to 7, over a link of its own. Raises LinkLostError, ProtocolError."""
+        self._outputs.set(number, level)
 
     def _open_telemetry(self) -> None:
         s = self._settings
@@ -194,17 +202,19 @@ class Links:
     @property
     def lost(self) -> str | None:
         """Why the arm cannot be driven, or None."""
-        if self._worker is None:
+        worker = self._worker  # once: another thread may close it
+        if worker is None:
             return "the control link is not open"
-        if self._worker.lost is not None:
-            return f"control link: {self._worker.lost}"
+        if worker.lost is not None:
+            return f"control link: {worker.lost}"
         return None if self.fresh else "state link: no fresh state"
 
     def health(self) -> LinkHealth:
         """Of both links: up only if state is fresh and the control link lives."""
-        if self._telemetry is None:
+        telemetry = self._telemetry  # once: another thread may close it
+        if telemetry is None:
             return LinkHealth(False, None, detail="not open")
-        seen = self._telemetry.health(self._settings.freshness_s)
+        seen = telemetry.health(self._settings.freshness_s)
         return LinkHealth(self.lost is None, seen.last_rx_s, seen.counters, self.lost or "")
 
     # --- ending the program ------------------------------------------------------------------------------------------

@@ -217,5 +217,8 @@ class PlayedLinks(Links):
     def close(self) -> None:
         """Nothing to close."""
 
+    def set_output(self, number: int, level: bool) -> None:
+        """Nobody to tell: a replay touches no robot."""
+
     def end_program(self) -> None:
         """Nobody to tell."""

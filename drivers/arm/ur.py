@@ -18,7 +18,6 @@ from drivers.arm import validate
 from drivers.arm.errors import ArmBusyError, InvalidCommandError, ProgramStoppedError, UnreachableError
 from drivers.arm.links import Links
 from drivers.arm.motion import MotionTracker
-from drivers.arm.outputs import OutputLink
 from drivers.arm.settings import UrSettings
 from drivers.arm.true_pose import told_pose, true_states
 from drivers.arm.worker_client import CALL_S
@@ -59,7 +58,6 @@ class UrArm:
         self._newest_true: tuple[ArmState, ArmState] | None = None
         self._lock = threading.Lock()
         self._obstacles: tuple[Box, ...] = ()
-        self._outputs = OutputLink(settings.host)
 
     def open(self) -> None:
         """Check the robot, start both links, set TCP and payload and read them back. Raises LinkOpenError."""
@@ -71,7 +69,6 @@ class UrArm:
 
     def close(self) -> None:
         """Stop any motion, end the script and both links. Idempotent."""
-        self._outputs.close()
         self._links.close()
 
     def recover(self) -> None:
@@ -120,7 +117,7 @@ class UrArm:
 
     def set_output(self, number: int, level: bool) -> None:
         """Switch a standard digital output, 0 to 7. Raises LinkLostError, ProtocolError."""
-        self._outputs.set(number, level)
+        self._links.set_output(number, level)
 
     # --- motions -----------------------------------------------------------------------------------------------------
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import contextlib
 import logging
+import termios
 import threading
 from collections import Counter, OrderedDict
 from collections.abc import Callable
@@ -41,8 +42,13 @@ class BusLink:
         receive: Callable[[CanFrame], None],
         filters: list[Filter] | None,
         fd: bool = False,
+        check: Callable[[], None] = lambda: None,
     ) -> None:
-        """``receive`` gets each data frame that ``filters`` let through (None: all)."""
+        """``receive`` gets each data frame that ``filters`` let through (None: all).
+
+        ``check`` raises LinkOpenError where the bus must not be opened again as it is.
+        """
+        self._check = check
         self._settings, self._clock, self._sink, self._receive = settings, clock, sink, receive
         self._filters, self._fd = filters, fd
         self._bus: Any = None
@@ -104,22 +110,30 @@ class BusLink:
 
     def _read(self) -> None:
         while not self._closing.is_set():
-            if self._broken.is_set():
-                self._reopen()
-                continue
             try:
-                message = self._bus.recv(READ_TIMEOUT_S)
-            except (can.CanError, OSError, ValueError, LookupError, TypeError) as error:
-                if is_garbage(error):
-                    self._skip_garbage(error)
-                    continue
-                self._note_trouble("rx_errors", error)
+                self._read_once()
+            except Exception:  # a defect shows as a broken bus, which is opened again; the thread never ends silently
+                _log.exception("reading the CAN bus %s", self._settings.channel)
+                self._broken.set()
                 self._closing.wait(READ_TIMEOUT_S)
-            else:
-                if message is not None:
-                    self._take(message)
-                elif self._settings.interface == "slcan":
-                    self._reset_when_silent()
+
+    def _read_once(self) -> None:
+        if self._broken.is_set():
+            self._reopen()
+            return
+        try:
+            message = self._bus.recv(READ_TIMEOUT_S)
+        except (can.CanError, OSError, ValueError, LookupError, TypeError) as error:
+            if is_garbage(error):
+                self._skip_garbage(error)
+                return
+            self._note_trouble("rx_errors", error)
+            self._closing.wait(READ_TIMEOUT_S)
+            return
+        if message is not None:
+            self._take(message)
+        elif self._settings.interface == "slcan":
+            self._reset_when_silent()
 
     def _reset_when_silent(self) -> None:
         """An adapter that was reset has forgotten bit rate and open channel, and says nothing about it."""
@@ -162,8 +176,13 @@ class BusLink:
         pause_s = self._settings.reopen_first_s
         while not self._closing.wait(pause_s):
             try:
+                self._check()
                 self._bus = open_bus(self._settings, self._fd, self._filters)
-            except LinkOpenError as error:
+            except (
+                LinkOpenError,
+                OSError,
+                termios.error,
+            ) as error:  # the latter: an adapter that goes while it is opened
                 _log.debug("CAN bus still not there: %s", error)
                 pause_s = min(2.0 * pause_s, self._settings.reopen_max_s)
                 continue

@@ -103,9 +103,10 @@ class CanCharger:
             return status
 
     def traffic_before_loss(self) -> tuple[CanFrame, ...]:
-        """The bus's traffic from 2 s before the newest loss on, both directions; empty when nothing was ever lost."""
+        """The bus's traffic from 2 s before the newest loss on, both directions; told once, else empty."""
         with self._lock:
-            return self._before_loss
+            frames, self._before_loss = self._before_loss, ()
+            return frames
 
     def alert(self, alarm: Callable[[], None]) -> None:
         """Call this, from the reader's thread, as soon as a valid frame says emergency stop, fault or no motion."""

@@ -60,10 +60,15 @@ class CarListener:
         self._decoder = PROTOCOLS[settings.protocol]()
         self._lock = threading.Lock()
         can_settings = CanSettings(settings.channel, settings.interface, self._decoder.bitrate)
-        self._link = BusLink(can_settings, clock, sink or NullSink(), self._take, None)
+        self._link = BusLink(can_settings, clock, sink or NullSink(), self._take, None, check=self._check)
 
     def open(self) -> None:
         """Begin to listen. Raises LinkOpenError, also for an interface that the kernel would let send."""
+        self._check()
+        self._link.open()
+
+    def _check(self) -> None:
+        """Before each opening, also of an adapter that has been plugged in again."""
         settings = self._settings
         if settings.interface == "socketcan":
             link = self._kernel_link(settings.channel)
@@ -74,7 +79,6 @@ class CarListener:
                 f"{settings.interface} cannot be shown to be listen-only",
                 remedy="Use a SocketCAN interface that was set up with `listen-only on`.",
             )
-        self._link.open()
 
     def close(self) -> None:
         """Idempotent."""

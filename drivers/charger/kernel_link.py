@@ -50,6 +50,8 @@ def read_kernel_link(name: str) -> KernelLink:
         )
     except subprocess.TimeoutExpired:
         raise LinkOpenError(f"the kernel does not tell the state of {name}") from None
+    except OSError as error:
+        raise LinkOpenError(f"the state of {name} cannot be asked for: {error.strerror}") from error
     if done.returncode != 0:
         raise LinkOpenError(
             f"there is no CAN interface {name}",

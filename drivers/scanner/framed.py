@@ -56,13 +56,20 @@ class FramedScanner:
         self._overruns = 0
         self._late = 0
         self._streaming = False
+        self._laser_on = False
+        """From when it is switched on until the device has acknowledged that it is off."""
         self._abandon = False
         self._last_good_s: float | None = None
         self._started_s = 0.0
 
     def open(self) -> None:
-        """Open the line. Raises LinkOpenError."""
+        """Open the line. Raises LinkOpenError. What a pulled cable left on is switched off."""
         self._link.open()
+        if self._laser_on:
+            try:
+                self.stop()
+            except LinkLostError as error:
+                logger.warning("the laser may still be on: %s", error)
 
     def close(self) -> None:
         """Laser off as far as the link allows, line closed. Idempotent, never raises."""
@@ -79,16 +86,22 @@ class FramedScanner:
         with self._changed:
             self._parser.restart()
             self._profiles.clear()
+        self._laser_on = True
         self._command(self._layout.start, "start")
         self._started_s = self._clock.now_s()
         self._streaming = True
 
     def stop(self) -> None:
-        """Laser off; what was taken before can still be fetched. Raises LinkLostError if it is not acknowledged."""
-        if not self._streaming:
+        """Laser off; what was taken before can still be fetched. Raises LinkLostError if it is not acknowledged.
+
+        Asked for again it tries once more, until the device has acknowledged it.
+        """
+        if not self._laser_on:
             return
+        attempts = self._timeouts.attempts if self._streaming else 1
         self._streaming = False
-        self._command(self._layout.stop, "stop")
+        self._command(self._layout.stop, "stop", attempts)
+        self._laser_on = False
 
     def take(self) -> list[Profile]:
         """Profiles since the last call. Raises LinkLostError for a broken line or a silent device with the laser on."""
@@ -118,7 +131,7 @@ class FramedScanner:
                 self._abandon = False
                 self._parser.abandon_partial()
             profiles = self._parser.feed(chunk, host_time_ns)
-            wanted = self._streaming or self._layout.start is not None  # a device without a switch streams unasked
+            wanted = self._laser_on  # a device without a switch streams unasked
             if profiles and wanted:
                 self._last_good_s = host_time_ns * 1e-9
                 room = (self._profiles.maxlen or 0) - len(self._profiles)
@@ -126,14 +139,14 @@ class FramedScanner:
                 self._profiles.extend(profiles)
             self._changed.notify_all()
 
-    def _command(self, command: Command | None, name: str) -> None:
+    def _command(self, command: Command | None, name: str, attempts: int | None = None) -> None:
         """Send a command and wait for its acknowledgement, again up to ``attempts`` times."""
         if command is None:
             return
         with self._changed:
             self._late += len(self._parser.acks)  # of commands that were given up before
             self._parser.acks.clear()
-        for attempt in range(self._timeouts.attempts):
+        for attempt in range(attempts or self._timeouts.attempts):
             self._link.write(command.send)
             if not command.ack or self._acknowledged(command.ack):
                 return

@@ -163,6 +163,8 @@ class Profiler2:
         size, ticks, host_s = self._header(address)
         if ticks == last_time:
             return ticks, None
+        if size == 0:  # after a reset there is none in its memory yet
+            raise DriverError("the device has no profile yet", remedy="Wait a moment; check its exposure and trigger.")
         raw = np.concatenate(list(self._blocks(address, size)))
         if self._header(address)[1] != ticks:
             raise DriverError("the device overwrote a profile while it was read", remedy="Use a faster line or thin.")

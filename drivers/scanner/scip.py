@@ -90,6 +90,8 @@ class ScipScanner:
         self._geometry: ScipGeometry | None = None
         self._beams: Array | None = None
         self._streaming = False
+        self._laser_on = False
+        """From when it is switched on until the device has confirmed that it is off."""
         self._number = 0
         self._refused = 0
         self._late = 0
@@ -124,7 +126,7 @@ class ScipScanner:
             except LinkLostError as error:
                 logger.warning("laser-off is not confirmed: %s", error)
         self._streaming = False
-        self._link.close()
+        self._link.close()  # what it leaves on is switched off when it is opened again
 
     def start(self) -> None:
         """Laser on, scans flow. Raises LinkLostError if the device refuses.
@@ -132,6 +134,7 @@ class ScipScanner:
         The geometry is asked for once more: the bytes of each sweep are then understood without those before.
         """
         self._geometry = geometry_of(self.ask("PP"))
+        self._laser_on = True
         if self.ask("BM").status not in (codec.OK, "02"):
             raise LinkLostError(f"the laser of {self._device} does not come on: malfunction")
         settings = self._settings
@@ -148,9 +151,10 @@ class ScipScanner:
 
     def stop(self) -> None:
         """Laser off. Idempotent. Raises LinkLostError if the device does not confirm it."""
-        if self._streaming:
+        if self._laser_on:
             self._streaming = False
             self.ask("QT")
+            self._laser_on = False
 
     def take(self) -> list[Profile]:
         """Profiles since the last call. Raises LinkLostError for a broken line or a silent device."""

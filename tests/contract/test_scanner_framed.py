@@ -233,3 +233,23 @@ def test_a_recorded_sweep_is_played_from_its_first_profile_after_each_laser_on(t
             assert [len(profile.points) for profile in profiles[:9]] == [199] * 9
             depths = [round(float(profile.points[0, 1]) * 1e3) for profile in profiles[:9]]
             assert depths == [300, 301, 302, 303, 304, 305, 306, 300, 301]
+
+
+def test_a_laser_that_a_pulled_cable_left_on_is_off_once_the_line_is_open_again(tmp_path: Path) -> None:
+    with mock(tmp_path / "dev") as process, driver(tmp_path / "dev") as scanner:
+        scanner.start()
+        take(scanner, 3)
+        process.send_signal(signal.SIGUSR1)
+        until(lambda: scanner._link.lost, "the cable is out")
+        for _ in range(2):  # at the end of the sweep, and once more when everything is made safe
+            with pytest.raises(LinkLostError):
+                scanner.stop()
+        scanner.close()
+        process.send_signal(signal.SIGUSR2)
+        until((tmp_path / "dev").exists, "the device is back")
+        scanner.open()
+        received = counts(scanner)["bytes"]
+        time.sleep(0.05)  # four periods: any further frame would show
+        assert counts(scanner)["bytes"] == received
+        scanner.stop()  # nothing is left to do
+        assert counts(scanner)["bytes"] == received

@@ -69,6 +69,8 @@ class Interrupts:
     def request_abort(self) -> None:
         self.asked.append("abort")
 
+    def clear_stop(self) -> None: ...
+
 
 @pytest.mark.parametrize(("state", "answer"), [(State.FAULT, "nothing-to-do"), (State.READY, "accepted")])
 def test_an_abort_is_always_passed_on_and_answered_at_once_where_no_result_would_follow(
@@ -170,7 +172,14 @@ def test_every_subscriber_sees_the_same_events(daemon: Service) -> None:
 
 def test_garbage_on_the_socket_is_answered_and_harms_nobody(daemon: Service) -> None:
     with daemon.client() as client:
-        for line in (b"hello\n", b'{"request": "fly"}\n', b"[]\n", b'{"request": 3}\n', b"\xff\xfe\n"):
+        for line in (
+            b"hello\n",
+            b'{"request": "fly"}\n',
+            b"[]\n",
+            b'{"request": 3}\n',
+            b"\xff\xfe\n",
+            b"[" * 5000 + b"\n",
+        ):
             client._line.sendall(line)
             answer = json.loads(client._stream.readline())
             assert answer["answer"] == "refused" and answer["reason"]

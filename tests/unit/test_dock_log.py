@@ -110,6 +110,13 @@ def test_each_dock_that_led_to_a_charge_is_logged_the_daemons_too(tmp_path: Path
     assert len(read_docks(tmp_path)) == logged
 
 
+def test_a_log_that_a_power_cut_garbled_is_read_as_far_as_it_goes(tmp_path: Path) -> None:
+    write(tmp_path, 2)
+    with (tmp_path / NAME).open("ab") as file:
+        file.write(b"\xff\x00\xfe\n")
+    assert len(read_docks(tmp_path)) == 2
+
+
 def test_a_charge_that_was_found_is_no_dock(tmp_path: Path) -> None:
     site = load_config()
     calibration = site.calibration.model_copy(update={"folder": str(tmp_path)})

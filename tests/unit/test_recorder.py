@@ -291,3 +291,18 @@ def test_no_thread_is_left_behind(tmp_path: Path) -> None:
     recorder = new_recorder(tmp_path / "m.mcap")
     recorder.close()
     wait_until(lambda: threading.active_count() == before)
+
+
+def test_a_disk_without_any_room_leaves_neither_a_descriptor_nor_a_file_behind(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(self: object, data: bytes) -> int:
+        raise OSError(errno.ENOSPC, "no space left")
+
+    monkeypatch.setattr(recording_file._UnbufferedFile, "write", full)
+    before = len(os.listdir("/proc/self/fd"))
+    for k in range(20):
+        with pytest.raises(RecordingTargetError):
+            new_recorder(tmp_path / f"{k}" / "mission.mcap")
+    assert len(os.listdir("/proc/self/fd")) == before
+    assert not list(tmp_path.glob("*/*.mcap"))

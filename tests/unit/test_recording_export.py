@@ -168,3 +168,19 @@ def test_nothing_but_recordings_and_their_reports_is_ever_deleted(tmp_path: Path
 
 def test_pruning_a_folder_that_is_not_there_is_no_error(tmp_path: Path) -> None:
     assert prune(tmp_path / "none", 0) == []
+
+
+def test_the_mission_that_just_ended_stays_though_the_clock_stands_in_the_past(tmp_path: Path) -> None:
+    for k in range(3):
+        make_mission(tmp_path, f"old-{k}", age_s=100.0 * k)
+    just_ended = make_mission(tmp_path, "now", age_s=1.9e9)
+    prune(tmp_path, 0, keep=just_ended / "mission.mcap")
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["now", "old-0"]
+
+
+def test_what_portdock_wrote_beside_a_recording_goes_with_it(tmp_path: Path) -> None:
+    lossy = make_mission(tmp_path, "lossy", 500.0)
+    (lossy / "charger-loss.log").write_text("(0.0) can0 123#00\n")
+    make_mission(tmp_path, "new", 1.0)
+    prune(tmp_path, 0)
+    assert not lossy.exists()

@@ -14,7 +14,7 @@ from controller.durable import recall_insertion
 from controller.faults import FaultCode, Outcome
 from controller.planning import FACING
 from controller.states import State
-from controller.task import Goal
+from controller.task import Desk, Goal
 from drivers.base import (
     ChargerRequest,
     ChargerState,
@@ -129,7 +129,7 @@ class Patient:
             self._then()
 
 
-def run_with(rig: Rig, desk: Patient | Script) -> None:
+def run_with(rig: Rig, desk: Desk) -> None:
     rig.supervisor.start()
     try:
         rig.mission.serve(desk)
@@ -260,6 +260,26 @@ def test_a_reset_while_the_cause_is_still_there_latches_again(tmp_path: Path) ->
     rig.at("SCANNING", lambda: setattr(rig.arm, "safety", SafetyMode.ROBOT_ESTOP))
     outcomes = rig.serve(Goal.DOCK, Goal.RESET)
     assert [code(o) for o in outcomes] == [FaultCode.EMERGENCY_STOP] * 2
+
+
+def test_a_scanner_that_went_and_came_at_rest_is_opened_again_for_the_next_job(tmp_path: Path) -> None:
+    rig = Rig(tmp_path)
+    rig.scanner.open = lambda: setattr(rig.scanner, "lost", False)  # type: ignore[method-assign]
+    outcomes = rig.serve(Goal.DOCK, Goal.UNDOCK, lambda: setattr(rig.scanner, "lost", True), Goal.DOCK)
+    assert kinds(outcomes) == ["charging", "undocked", "charging"]
+
+
+def test_a_scanner_that_stays_away_is_the_fault_of_the_next_job(tmp_path: Path) -> None:
+    rig = Rig(tmp_path)
+
+    def gone() -> None:
+        raise LinkOpenError("no serial device")
+
+    rig.scanner.open = gone  # type: ignore[method-assign]
+    rig.scanner.lost = True
+    outcomes = rig.serve(Goal.DOCK)
+    assert code(outcomes[0]) is FaultCode.SCANNER_LINK_LOST
+    assert rig.arm.moves.count("move_joints") == 0
 
 
 class PressedAtTheCharger:
