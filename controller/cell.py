@@ -264,6 +264,14 @@ class Cell:
             self.scanner.close()
             self.scanner.open()
 
+    def make_safe(self) -> None:
+        """On entry to FAULT: nothing moves, no laser, no power wanted. Each is tried, whatever the others do."""
+        for command in (StopMotion(), Laser(on=False), Announce(None), AskCharger(ChargerRequest.ABORT)):
+            try:
+                self.do(command)
+            except PortdockError as error:
+                log.error("making safe: %s", error)
+
     def enter(self, state: State, stay_s: float | None) -> None:
         """Tell supervisor and gate that the mission is in ``state`` now."""
         self.supervisor.enter(state, stay_s)

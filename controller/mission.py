@@ -18,7 +18,7 @@ from controller.config import SiteConfig
 from controller.docking import approach, charge, locate, push_in, scan, stage, verify, watch_charge
 from controller.faults import Fault, FaultCode, MissionFault, Outcome
 from controller.looking import Looking
-from controller.self_check import check_self
+from controller.self_check import check_self, stands_before_port
 from controller.states import RESTING, Event, State, next_state
 from controller.supervisor import PauseRequested, StopRequested
 from controller.task import Desk, Goal, Progress, SingleJob, Task, Watcher
@@ -147,7 +147,7 @@ class Mission:
         self.task.cell.enter(self.state, self._longest_stay_s())
         self.task.watcher.transition(source.name, event.value, self.state.name, self.task.cell.clock.now_s())
         if self.state is State.FAULT and self.fault is not None:
-            self._make_safe()
+            self.task.cell.make_safe()
             self._conclude(Outcome.of(self.fault))
         elif self.state is State.READY and self.now.goal is not None and self.now.under_way:
             self._give_back()
@@ -200,6 +200,8 @@ class Mission:
         """The charger is no longer reserved. It may refuse: the robot is out of the way in any case."""
         if self.now.goal in (Goal.DOCK, Goal.CYCLE, Goal.UNDOCK):
             try:
+                if self.task.plan is not None:  # not retreated, perhaps: the port is not announced any longer
+                    self.task.cell.do(Announce(None))
                 self.task.cell.do(AskCharger(ChargerRequest.RELEASE))
             except PortdockError as error:
                 log.warning("%s", error)
@@ -217,6 +219,9 @@ class Mission:
         goal = self._wait_for_work()
         if goal is None:
             return Event.SHUT_DOWN
+        if goal is Goal.UNDOCK and stands_before_port(task):
+            self._begin(goal)
+            return Event.UNDOCK_REQUESTED
         if goal in (Goal.UNDOCK, Goal.RESET):
             self.task.now = Progress(goal)
             self._answer(Outcome("already-undocked" if goal is Goal.UNDOCK else "ready"))
@@ -290,11 +295,3 @@ class Mission:
         log.info("answered at once: %s", outcome.kind)
         self.now.outcome = outcome
         self.task.desk.answered(outcome)
-
-    def _make_safe(self) -> None:
-        """On entry to FAULT: nothing moves, no laser, no power wanted. Each is tried, whatever the others do."""
-        for command in (StopMotion(), Laser(on=False), Announce(None), AskCharger(ChargerRequest.ABORT)):
-            try:
-                self.task.cell.do(command)
-            except PortdockError as error:
-                log.error("making safe: %s", error)

@@ -78,6 +78,11 @@ def before_port(plan: DockPlan, arm: ArmState | None, motion: MotionConfig) -> b
     return plan.lateral_m(arm.T_base_tcp) < 2.5 * BESIDE_AXIS_M and height_m < motion.retreat_mm / 1000.0 - 0.001
 
 
+def stands_before_port(task: Task) -> bool:
+    """Whether the arm was stopped on its way between retreat pose and port, and still stands there."""
+    return task.plan is not None and before_port(task.plan, task.cell.arm_state(), task.config.motion)
+
+
 def _with_plug(task: Task, patience_s: float) -> Event:
     """A plug is in: observe a charge, take it out if that was asked for, else say so and leave it."""
     cell = task.cell

@@ -8,12 +8,15 @@ from threading import Timer
 from types import SimpleNamespace
 from typing import Any
 
+import pytest
+
 from controller.daemon.desk import JobDesk
 from controller.daemon.protocol import Request, ResultEvent
 from controller.faults import FaultCode, Outcome
 from controller.states import State
 from controller.task import Goal, Progress
-from drivers.base import ChargerRequest, ChargerState, LinkOpenError, SafetyMode
+from drivers.base import ChargerRequest, ChargerState, LinkOpenError, MotionProgress, SafetyMode
+from perception.geometry import Pose
 from tests.unit.mission_rig import CLOCK, Rig
 from tests.unit.test_undocking import Patient, code, docked_by_an_earlier_process, kinds, run_with
 
@@ -146,6 +149,24 @@ def test_somebody_who_comes_back_while_the_arm_recovers_only_prolongs_the_pause(
     rig.watch.on_state = on_state
     assert rig.run().kind == "charged"
     assert len(tries) == 2
+
+
+def test_an_arm_that_was_stopped_in_hold_before_the_port_is_taken_away_by_an_undock(tmp_path: Path) -> None:
+    rig = Rig(tmp_path)
+    move = rig.arm.move_linear
+
+    def linear(target: Pose, speed: float, acceleration: float) -> int:
+        number = move(target, speed, acceleration)
+        if rig.arm.moves.count("move_linear") == 2:
+            rig.arm.speed_scaling = 0.0  # the slider, on the last way
+        return number
+
+    rig.arm.move_linear = linear  # type: ignore[method-assign]
+    rig.arm.motion = lambda: MotionProgress(1, rig.arm.speed_scaling == 0.0, False, "")  # type: ignore[method-assign]
+    rig.at("HOLD", lambda: (setattr(rig.arm, "speed_scaling", 1.0), rig.supervisor.request_stop())[0])
+    assert kinds(rig.serve(Goal.DOCK, Goal.UNDOCK, Goal.UNDOCK)) == ["stopped", "undocked", "already-undocked"]
+    assert rig.arm.depth_m == pytest.approx(-rig.config.motion.retreat_mm / 1000.0, abs=1e-3)
+    assert rig.charger.poses[-1] is None
 
 
 def test_docked_at_rest_no_deadline_passes(tmp_path: Path) -> None:

