@@ -16,6 +16,10 @@ from perception.scan import Profile
 logger = logging.getLogger(__name__)
 
 
+UNASKED_S = 0.15
+"""Within this a device that streams has sent a whole frame."""
+
+
 @dataclass(frozen=True, slots=True)
 class FramedTimeouts:
     """Wall-clock bounds of the driver's waits."""
@@ -63,13 +67,22 @@ class FramedScanner:
         self._started_s = 0.0
 
     def open(self) -> None:
-        """Open the line. Raises LinkOpenError. What a pulled cable left on is switched off."""
+        """Open the line; a laser that a pulled cable or a killed process left on goes off. Raises LinkOpenError."""
         self._link.open()
-        if self._laser_on:
+        if self._laser_on or self._streams_unasked():
+            self._laser_on = True
             try:
                 self.stop()
             except LinkLostError as error:
                 logger.warning("the laser may still be on: %s", error)
+
+    def _streams_unasked(self) -> bool:
+        """Whether a device that has a switch sends profiles although nobody has switched it on."""
+        if self._layout.stop is None or not self._link.may_answer:  # the latter: a replay's line
+            return False
+        counters, before = self._parser.counters, self._parser.counters.frames
+        with self._changed:
+            return self._changed.wait_for(lambda: counters.frames > before, timeout=UNASKED_S)
 
     def close(self) -> None:
         """Laser off as far as the link allows, line closed. Idempotent, never raises."""

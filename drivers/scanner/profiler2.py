@@ -139,7 +139,12 @@ class Profiler2:
     def _ask_on(self) -> None:
         last_time: int | None = None
         while not self._stopping.is_set() and self._line.is_open:
-            last_time = self._ask_for_one(last_time)
+            try:
+                last_time = self._ask_for_one(last_time)
+            except Exception as error:  # a defect: the link goes silent, and says why
+                logger.exception("asking for profiles")
+                self._failure = f"stopped by a defect: {error!r}"
+                return
 
     def _ask_for_one(self, last_time: int | None) -> int | None:
         """Keep the next profile, if there is a new one; its time stamp, or that of the last one that was read."""

@@ -253,3 +253,17 @@ def test_a_laser_that_a_pulled_cable_left_on_is_off_once_the_line_is_open_again(
         assert counts(scanner)["bytes"] == received
         scanner.stop()  # nothing is left to do
         assert counts(scanner)["bytes"] == received
+
+
+def test_a_laser_that_a_killed_process_left_on_is_off_once_the_next_one_has_opened_the_line(tmp_path: Path) -> None:
+    with mock(tmp_path / "dev"):
+        with driver(tmp_path / "dev") as killed:
+            killed.start()
+            take(killed, 3)
+            killed._link.close()  # without a word to the device
+        with driver(tmp_path / "dev") as scanner:
+            received = counts(scanner)["bytes"]
+            time.sleep(0.05)  # four periods: any further frame would show
+            assert counts(scanner)["bytes"] == received > 0
+            scanner.start()
+            assert len(take(scanner, 3)) >= 3
