@@ -264,6 +264,16 @@ class Cell:
             self.scanner.close()
             self.scanner.open()
 
+    def freeze(self, *, scanning: bool) -> None:
+        """Stop what moves and measures. A scanner that is not in use keeps no plug in a port: its trouble is logged."""
+        self.do(StopMotion())
+        try:
+            self.do(Laser(on=False))
+        except PortdockError as error:
+            if scanning:
+                raise
+            log.error("%s", error)
+
     def make_safe(self) -> None:
         """On entry to FAULT: nothing moves, no laser, no power wanted. Each is tried, whatever the others do."""
         for command in (StopMotion(), Laser(on=False), Announce(None), AskCharger(ChargerRequest.ABORT)):

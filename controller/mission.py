@@ -13,7 +13,7 @@ from pathlib import Path
 
 from controller.back_off import back_off
 from controller.cell import Cell
-from controller.commands import Announce, AskCharger, Laser, StopMotion
+from controller.commands import Announce, AskCharger
 from controller.config import SiteConfig
 from controller.docking import approach, charge, locate, push_in, scan, stage, verify, watch_charge
 from controller.faults import Fault, FaultCode, MissionFault, Outcome
@@ -43,6 +43,7 @@ STEPS: dict[State, Callable[[Task], Event | None]] = {
     State.HOLD: hold,
 }
 """The procedure. READY, CHARGING and FAULT, where a mission rests, are below."""
+NO_AXIS = Fault(FaultCode.AXIS_UNKNOWN, "the plug was found inserted and no insertion is stored; the charge goes on")
 
 
 class Mission:
@@ -126,6 +127,10 @@ class Mission:
                 self.task.cell.supervisor.clear_stop()
                 return None
             if not self.now.going_on:  # docked, and no job: the stop is one
+                if self.task.plan is None:
+                    self.task.cell.supervisor.clear_stop()
+                    self._answer(Outcome.of(NO_AXIS))
+                    return None
                 self._begin(Goal.UNDOCK)
             self.task.cell.supervisor.clear_stop()  # it belongs to this job
             self.now.stopping = True
@@ -148,6 +153,7 @@ class Mission:
         self.task.watcher.transition(source.name, event.value, self.state.name, self.task.cell.clock.now_s())
         if self.state is State.FAULT and self.fault is not None:
             self.task.cell.make_safe()
+            self.task.cell.supervisor.forget_requests()  # they are obeyed: what is asked for from now on counts
             self._conclude(Outcome.of(self.fault))
         elif self.state is State.READY and self.now.goal is not None and self.now.under_way:
             self._give_back()
@@ -156,9 +162,8 @@ class Mission:
             self.task.cell.supervisor.clear_stop()
 
     def _longest_stay_s(self) -> float | None:
-        if self.state in RESTING or (self.state is State.CHARGING and not self.now.going_on):
-            return None
-        return float(getattr(self.task.config.deadlines, f"{self.state.name.lower()}_s"))
+        at_rest = self.state in RESTING or (self.state is State.CHARGING and not self.now.going_on)
+        return None if at_rest else float(getattr(self.task.config.deadlines, f"{self.state.name.lower()}_s"))
 
     def _latch(self, fault: Fault) -> Event:
         if fault.code is FaultCode.CHARGER_LINK_LOST and self.state is State.APPROACHING:
@@ -168,8 +173,7 @@ class Mission:
 
     def _freeze(self, event: Event) -> Event:
         """Stop what moves and measures before the state changes."""
-        self.task.cell.do(StopMotion())
-        self.task.cell.do(Laser(on=False))
+        self.task.cell.freeze(scanning=self.state is State.SCANNING)
         return event
 
     # --- jobs ---------------------------------------------------------------------------------------------------------
@@ -198,11 +202,12 @@ class Mission:
 
     def _give_back(self) -> None:
         """The charger is no longer reserved. It may refuse: the robot is out of the way in any case."""
-        if self.now.goal in (Goal.DOCK, Goal.CYCLE, Goal.UNDOCK):
+        if self.now.goal not in (Goal.DOCK, Goal.CYCLE, Goal.UNDOCK):
+            return
+        announced = () if self.task.plan is None else (Announce(None),)  # not retreated
+        for command in (*announced, AskCharger(ChargerRequest.RELEASE)):
             try:
-                if self.task.plan is not None:  # not retreated, perhaps: the port is not announced any longer
-                    self.task.cell.do(Announce(None))
-                self.task.cell.do(AskCharger(ChargerRequest.RELEASE))
+                self.task.cell.do(command)
             except PortdockError as error:
                 log.warning("%s", error)
 
@@ -261,8 +266,7 @@ class Mission:
             self._answer(Outcome("charging" if goal is Goal.RESET else "already-docked"))
             return None
         if self.task.plan is None:
-            detail = "the plug was found inserted and no insertion is stored; the charge goes on"
-            self._answer(Outcome.of(Fault(FaultCode.AXIS_UNKNOWN, detail)))
+            self._answer(Outcome.of(NO_AXIS))
             return None
         self._begin(goal)
         return Event.UNDOCK_REQUESTED
@@ -274,7 +278,6 @@ class Mission:
         if desk.leaving:
             return Event.SHUT_DOWN
         goal, fault = desk.take(), self.fault or Fault(FaultCode.INTERNAL)
-        task.cell.supervisor.forget_requests()  # now, not once the links are up: an abort meanwhile is one
         asked_for = goal is Goal.UNDOCK and fault.code is FaultCode.PLUG_INSERTED_AT_START
         if goal is not Goal.RESET and not asked_for:
             self._answer(Outcome.of(fault))

@@ -86,16 +86,16 @@ class JobDesk:
             if request in GOALS:
                 return self._accept(GOALS[request])
             if request is Request.ABORT:
-                self._interrupts.request_abort()
                 if self._state() is State.FAULT and not self._under_way:  # no result would follow
                     return Answer("nothing-to-do", reason="in FAULT nothing moves")
+                self._interrupts.request_abort()
                 return Answer("accepted", self._job if self._under_way else None)
             return self._stop()
 
     def _accept(self, goal: Goal) -> Answer:
         if self._under_way:
             return Answer("refused", self._job, f"job {self._job} is under way; see `portdock status`")
-        if self._interrupts is not None:
+        if self._interrupts is not None and self._state() in RESTING:
             self._interrupts.clear_stop()  # one that came while the last job ended
         self._job += 1
         self._pending, self._under_way = goal, True
@@ -115,7 +115,7 @@ class JobDesk:
         with self._lock:
             self._leaving = True
             state = self._state()
-            begins = state is State.READY and self._under_way and self._pending is None
+            begins = state is State.READY and self._under_way
             if self._interrupts is not None and (begins or state not in RESTING | {State.CHARGING}):
                 self._interrupts.request_stop()
 

@@ -16,8 +16,9 @@ from perception.scan import Profile
 logger = logging.getLogger(__name__)
 
 
-UNASKED_S = 0.15
-"""Within this a device that streams has sent a whole frame."""
+UNASKED_S = 0.3
+"""Within this a device that streams ten times a second has sent a whole frame. A slower one, or one that waits for
+triggers, is not noticed."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,7 +73,8 @@ class FramedScanner:
         if self._laser_on or self._streams_unasked():
             self._laser_on = True
             try:
-                self.stop()
+                self._command(self._layout.stop, "stop")
+                self._laser_on = False
             except LinkLostError as error:
                 logger.warning("the laser may still be on: %s", error)
 

@@ -111,6 +111,7 @@ class ScipScanner:
         self._link.open()
         try:
             self._take_over()
+            self._laser_on = False
             self._geometry = geometry_of(self.ask("PP"))
         except LinkLostError as error:
             self._link.close()

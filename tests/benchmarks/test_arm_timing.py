@@ -221,6 +221,7 @@ def test_a_stop_request_reaches_the_controller_at_once(bench: Bench) -> None:
             bench.supervisor.request_abort()
             until(lambda: not bench.arm.state().moving, "the arm stands still")
             latencies.append(first_stop(bench, asked) - asked)  # asked only now: answering takes time from the mock
+            bench.supervisor.forget_requests()
             bench.supervisor.reset()
     judge("stop request to stop command", latencies, sleeps)
 

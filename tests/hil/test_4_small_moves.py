@@ -74,6 +74,7 @@ def test_an_abort_stops_the_arm_and_latches(staged: Assembly, bench: Bench, anno
     cell.supervisor.request_abort()
     with pytest.raises(MissionFault, match="aborted"):
         cell.supervisor.wait(lambda: False, PATIENCE_S)
+    cell.supervisor.forget_requests()
     cell.supervisor.reset()
     cell.supervisor.enter(State.OFFLINE, None)
     assert cell.supervisor.wait(lambda: np.abs(cell.arm.state().tcp_speed[:3]).max() < 0.001, PATIENCE_S)

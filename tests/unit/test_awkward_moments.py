@@ -15,7 +15,7 @@ from controller.daemon.protocol import Request, ResultEvent
 from controller.faults import FaultCode, Outcome
 from controller.states import State
 from controller.task import Goal, Progress
-from drivers.base import ChargerRequest, ChargerState, LinkOpenError, MotionProgress, SafetyMode
+from drivers.base import ChargerRequest, ChargerState, LinkLostError, LinkOpenError, MotionProgress, SafetyMode
 from perception.geometry import Pose
 from tests.unit.mission_rig import CLOCK, Rig
 from tests.unit.test_undocking import Patient, code, docked_by_an_earlier_process, kinds, run_with
@@ -149,6 +149,55 @@ def test_somebody_who_comes_back_while_the_arm_recovers_only_prolongs_the_pause(
     rig.watch.on_state = on_state
     assert rig.run().kind == "charged"
     assert len(tries) == 2
+
+
+def test_an_abort_of_an_undock_that_waits_in_fault_is_not_forgotten(tmp_path: Path) -> None:
+    """The job is accepted; the abort comes before the mission has taken it up."""
+    rig = docked_by_an_earlier_process(tmp_path)
+    desk, results = with_the_desk(rig, lambda: (desk.submit(Request.UNDOCK), desk.submit(Request.ABORT)))
+    run_with(rig, desk)
+    assert results[-1] == "fault" and rig.mission.fault is not None
+    assert "comply" not in rig.arm.moves
+
+
+def test_a_dock_asked_for_after_a_stop_of_the_charge_does_not_undo_the_stop(tmp_path: Path) -> None:
+    rig = Rig(tmp_path)
+    desk, results = with_the_desk(rig, lambda: (desk.submit(Request.STOP), desk.submit(Request.DOCK)), lambda: None)
+    desk.submit(Request.DOCK)
+    run_with(rig, desk)
+    assert results == ["charging", "stopped", "charging"], "first out, then in again"
+
+
+def test_a_stop_of_a_charge_whose_axis_nobody_knows_lets_it_go_on(tmp_path: Path) -> None:
+    rig = docked_by_an_earlier_process(tmp_path)
+    rig.charger._power = True
+    (tmp_path / "insertion.json").unlink()
+    answers: list[Outcome] = []
+
+    class Nobody:
+        pending = None
+        leaving = property(lambda self: bool(answers))
+
+        def answered(self, outcome: Outcome) -> None:
+            answers.append(outcome)
+
+    nobody: Any = Nobody()
+    rig.at("CHARGING", rig.supervisor.request_stop)
+    run_with(rig, nobody)
+    assert code(answers[0]) is FaultCode.AXIS_UNKNOWN
+    assert "RELEASING" not in rig.watch.states and ChargerRequest.UNLOCK_PLUG not in rig.charger.requests
+
+
+def test_a_scanner_that_does_not_go_off_keeps_no_plug_in_the_port(tmp_path: Path) -> None:
+    rig = Rig(tmp_path)
+
+    def stop() -> None:
+        raise LinkLostError("laser-off is not acknowledged")
+
+    rig.scanner.stop = stop  # type: ignore[method-assign]
+    rig.at("CHARGING", rig.supervisor.request_stop)
+    assert kinds(rig.serve(Goal.DOCK)) == ["stopped"]
+    assert rig.arm.depth_m < 0.0
 
 
 def test_an_arm_that_was_stopped_in_hold_before_the_port_is_taken_away_by_an_undock(tmp_path: Path) -> None:
