@@ -7,6 +7,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 
@@ -21,8 +22,11 @@ from controller.scanner_facts import scanner_facts
 from controller.sweep import MIN_PROFILES, SweepError, Timed, Timing, scan_of, timed
 from controller.triggered import timed_by_trigger, unevenness
 from drivers.base import ArmState
+from perception.errors import PortdockError
 from perception.geometry import Pose
 from perception.scan import Profile, Scan
+
+log = logging.getLogger(__name__)
 
 FIRST_PROFILE_S = 5.0
 """The laser is on, so a profile comes within this time; else the scanner is as good as lost."""
@@ -147,8 +151,13 @@ def _laser(cell: Cell, collector: Collector) -> Iterator[None]:
         if not cell.supervisor.wait(collector.collect, max(FIRST_PROFILE_S, SILENT_LINK_S * cell.time_scale)):
             raise MissionFault(FaultCode.SCAN_FAILED, "the laser is on but no profile comes")
         yield
-    finally:
-        cell.do(Laser(on=False))
+    except BaseException:
+        try:
+            cell.do(Laser(on=False))
+        except PortdockError as error:
+            log.error("%s", error)  # what ended the sweep is the cause
+        raise
+    cell.do(Laser(on=False))
 
 
 def _take_moving(

@@ -10,10 +10,12 @@ from typing import Any
 
 import pytest
 
+from controller.commands import Laser
 from controller.daemon.desk import JobDesk
 from controller.daemon.protocol import Request, ResultEvent
-from controller.faults import FaultCode, Outcome
+from controller.faults import FaultCode, MissionFault, Outcome
 from controller.states import State
+from controller.sweeping import _laser
 from controller.task import Goal, Progress
 from drivers.base import ChargerRequest, ChargerState, LinkLostError, LinkOpenError, MotionProgress, SafetyMode
 from perception.geometry import Pose
@@ -252,3 +254,18 @@ def test_a_charger_on_its_way_to_finished_has_not_broken_off(tmp_path: Path) -> 
 
     rig.charger.request = request  # type: ignore[method-assign]
     assert rig.run().fault is None
+
+
+def test_what_ended_a_sweep_is_its_cause_and_not_the_laser_that_does_not_go_off() -> None:
+    asked: list[bool] = []
+
+    def do(command: Laser) -> None:
+        asked.append(command.on)
+        if not command.on:
+            raise LinkLostError("laser-off is not acknowledged")
+
+    cell: Any = SimpleNamespace(do=do, supervisor=SimpleNamespace(wait=lambda until, patience_s: False), time_scale=1.0)
+    collector: Any = SimpleNamespace(collect=lambda: False)
+    with pytest.raises(MissionFault, match="no profile comes"), _laser(cell, collector):
+        pass
+    assert asked == [True, False]
