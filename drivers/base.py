@@ -19,6 +19,7 @@ from drivers.interfaces.charger import (
     PlugLock,
     Proximity,
     RequestResult,
+    forbids_motion,
 )
 from drivers.interfaces.clock import Clock, MonotonicClock
 from drivers.interfaces.errors import CommandRejectedError, DriverError, LinkLostError, LinkOpenError, ProtocolError
@@ -61,4 +62,5 @@ __all__ = [
     "RobotMode",
     "SafetyMode",
     "Scanner",
+    "forbids_motion",
 ]

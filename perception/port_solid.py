@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -45,11 +45,16 @@ def build_parts(shape: PortShape) -> PortMesh:
     solid = maker.body(shape)
     if solid.is_empty():
         raise MeshError(f"the dimensions of port {shape.name!r} enclose no solid", remedy="Check its description.")
+    return labelled_mesh(solid, maker.part_of)
+
+
+def labelled_mesh(solid: Manifold, part_of: Mapping[int, int]) -> PortMesh:
+    """A solid in millimetres as a mesh. ``part_of``: index into ``PARTS`` by the original id of what it was made of."""
     mesh = solid.to_mesh64()
     vertices = np.asarray(mesh.vert_properties, dtype=np.float64)[:, :3] / MM
     faces = np.asarray(mesh.tri_verts, dtype=np.int64)
     lengths = np.diff(np.asarray(mesh.run_index)) // 3
-    part = np.repeat([maker.part_of.get(int(k), 0) for k in mesh.run_original_id], lengths)
+    part = np.repeat([part_of.get(int(k), 0) for k in mesh.run_original_id], lengths)
     return PortMesh(vertices, faces, _name_floors(vertices, faces, part))
 
 

@@ -18,6 +18,7 @@ from drivers.base import (
     PlugLock,
     Proximity,
     RequestResult,
+    forbids_motion,
 )
 from drivers.charger.contract import POSE, POSITION, QUALITY, ROTATION, Codec, Contract, FrameError
 
@@ -47,7 +48,7 @@ class StatusFrame:
     @property
     def alarming(self) -> bool:
         """Whether whatever moves must stop now."""
-        return self.estop or self.motion_inhibit or self.state in (ChargerState.FAULT, ChargerState.ESTOP)
+        return forbids_motion(self.state, estop=self.estop, motion_inhibit=self.motion_inhibit)
 
 
 @dataclass(frozen=True, slots=True)

@@ -87,6 +87,11 @@ class RequestResult(enum.IntEnum):
     TIMED_OUT = 16
 
 
+def forbids_motion(state: ChargerState, *, estop: bool, motion_inhibit: bool) -> bool:
+    """Whether nothing may move: the charger says so, or is in a state in which nothing may, whatever the bit says."""
+    return estop or motion_inhibit or state in (ChargerState.FAULT, ChargerState.ESTOP)
+
+
 @dataclass(frozen=True, slots=True)
 class ChargerStatus:
     """The newest valid frames of the charger."""
@@ -110,8 +115,8 @@ class ChargerStatus:
 
     @property
     def forbids_motion(self) -> bool:
-        """Whether nothing may move: it says so, or it is in a state that does, whatever the bit says."""
-        return self.estop or self.motion_inhibit or self.state in (ChargerState.FAULT, ChargerState.ESTOP)
+        """See the function of this name."""
+        return forbids_motion(self.state, estop=self.estop, motion_inhibit=self.motion_inhibit)
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,17 +8,16 @@ own mirror image. Lengths in millimetres, depths downwards from the rim plane, i
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from manifold3d import CrossSection, Manifold
-from numpy.typing import NDArray
 
 from perception.evaluation.built import TYPICAL, BuiltTolerance
 from perception.geometry import Array
 from perception.outline import Disc, Hull, RoundedRect
 from perception.port_shape import Cavity, Contact, Flange, Insert, PortShape
-from perception.port_solid import PARTS, PortMesh
+from perception.port_solid import PARTS, PortMesh, labelled_mesh
 
 NAME = "trilobe"
 LOBES_MM = ((0.0, 15.0, 11.0), (-14.0, -9.0, 12.0), (14.0, -9.0, 12.0))
@@ -95,11 +94,11 @@ def built(tolerance: BuiltTolerance, rng: np.random.Generator, *, contacts: bool
 
 
 def _mesh(part: _Part) -> PortMesh:
-    names: dict[int, str] = {}
+    parts: dict[int, int] = {}
 
     def named(name: str, solid: Manifold) -> Manifold:
         one = solid.as_original()
-        names[one.original_id()] = name
+        parts[one.original_id()] = PARTS.index(name)
         return one
 
     solid = named("rim", _prism(_collar(0.0), 0.0, BACK_MM)) + named("flange", _flange())
@@ -115,26 +114,14 @@ def _mesh(part: _Part) -> PortMesh:
     for pin, lean_deg in zip(part.pins, part.leans_deg, strict=True):
         solid += named("pin", _pin(pin, lean_deg))
     solid += named("key", _prism(CrossSection.hull_points(np.array(KEY_MM)), part.floor_mm / 3.0, part.floor_mm + 1.0))
-    mesh = solid.to_mesh64()
-    vertices = np.asarray(mesh.vert_properties, dtype=np.float64)[:, :3]
-    lengths = np.diff(np.asarray(mesh.run_index)) // 3
-    kinds = np.repeat([PARTS.index(names[int(k)]) for k in mesh.run_original_id], lengths)
-    faces = np.asarray(mesh.tri_verts, dtype=np.int64)
-    return PortMesh(_as_built(vertices, part) / 1e3, faces, _with_floors(vertices, faces, kinds))
+    mesh = labelled_mesh(solid, parts)
+    return replace(mesh, vertices=_as_built(mesh.vertices * 1e3, part) / 1e3)
 
 
 def _as_built(vertices: Array, part: _Part) -> Array:
     """Bowed flange, and shrinkage along each axis."""
     beyond = np.clip((np.hypot(vertices[:, 0], vertices[:, 1]) - 29.0) / 12.0, 0.0, None)
     return np.asarray((vertices + np.array([0.0, 0.0, 1.0]) * (part.bow_mm * beyond**2)[:, None]) * part.scale)
-
-
-def _with_floors(vertices: Array, faces: NDArray[np.int64], kinds: NDArray[np.int64]) -> NDArray[np.int64]:
-    a, b, c = (vertices[faces[:, k]] for k in range(3))
-    normal = np.cross(b - a, c - a)
-    up = normal[:, 2] > 0.9 * np.linalg.norm(normal, axis=1)
-    sunk = (kinds == PARTS.index("cavity")) | (kinds == PARTS.index("well"))
-    return np.where(up & sunk, PARTS.index("floor"), kinds)
 
 
 def _collar(grow: float) -> CrossSection:

@@ -75,7 +75,7 @@ def test_a_bus_that_must_not_be_opened_as_it_is_now_stays_closed_until_it_may(se
 
 
 def test_an_error_of_the_operating_system_on_the_way_is_tried_again(
-    sender: can.BusABC, monkeypatch: pytest.MonkeyPatch
+    sender: can.BusABC,
 ) -> None:
     failures: list[OSError] = []
 
