@@ -25,6 +25,10 @@ _BORE_LEAST = 6.0
 """Points that a filled bore would show, from which on its emptiness says something."""
 _BORE_EMPTY, _BORE_FILLED = 0.25, 0.5
 """Shares of those points that an empty bore may show, and that a filled one must."""
+MAX_DENIED = 0.25
+"""Of the features that are seen or denied, so many may be denied."""
+_DENIED_LEAST, _DENIED_SHARE = 4, 0.05
+"""Points that deny a feature: at least so many, and this share of what the feature would show if it were filled."""
 _ROLL_STEP_DEG = 4.0
 _ROLL_FROM_DEG = 12.0
 
@@ -61,6 +65,12 @@ class Evidence:
     def violation(self) -> float:
         """Share of the distinctive evidence that contradicts, 0 to 1."""
         return (self.behind + self.before) / max(self.agreeing + self.behind + self.before, 1e-9)
+
+    @property
+    def doubtful(self) -> bool:
+        """Whether the pose looks like one that stopped on its way: contacts are denied, or another roll is as good."""
+        denied = self.features_denied > MAX_DENIED * (self.features_seen + self.features_denied)
+        return denied or self.roll_against >= max(self.roll_for, 1)
 
     @property
     def roll_margin(self) -> float:
@@ -136,12 +146,18 @@ def _inner(front: FrontMap, local: Array, misfit: Array, tolerance: float) -> tu
 def _features(
     front: FrontMap, i: NDArray[np.int64], j: NDArray[np.int64], misfit: Array, tolerance: float
 ) -> tuple[int, int]:
-    """How many contact-sized features have points that agree, and how many have points that contradict."""
+    """How many contact-sized features have points that agree, and how many have points that contradict.
+
+    A well whose floor the laser does not reach has a few flying points of its edges, and nothing that agrees.
+    """
     number = front.feature[i, j].astype(np.int64)
     solid, bore = np.maximum(number, 0), np.maximum(-number, 0)
     agree = np.bincount(solid, np.abs(misfit) < tolerance, minlength=front.features + 1)[1:]
     against = np.bincount(solid, np.abs(misfit) >= tolerance, minlength=front.features + 1)[1:]
-    seen, denied = (agree >= 2) & (agree >= against), (against >= 4) & (against > 2 * agree)
+    size = np.bincount(np.maximum(front.feature, 0).ravel(), minlength=front.features + 1)[1:]
+    filled_shows = size * len(i) / max(len(np.unique(i * front.feature.shape[1] + j)), 1)
+    enough = against >= np.maximum(_DENIED_LEAST, _DENIED_SHARE * filled_shows)
+    seen, denied = (agree >= 2) & (agree >= against), enough & (against > 2 * agree)
     empty, filled = _bores(front, i, j, bore, misfit, tolerance)
     return int(seen.sum()) + empty, int(denied.sum()) + filled
 

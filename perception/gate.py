@@ -8,7 +8,7 @@ import numpy as np
 
 from perception.distortion import UNDISTORTED, Distortion
 from perception.estimate import Prior, Verdict
-from perception.evidence import Evidence
+from perception.evidence import MAX_DENIED, Evidence
 from perception.geometry import Array, Pose
 from perception.port_model import AcceptanceLimits
 
@@ -16,7 +16,6 @@ MIN_COVERAGE = 0.15
 MAX_VIOLATION = 0.25
 MIN_MARGIN = 0.10
 MIN_FEATURES = 2
-MAX_DENIED = 0.25
 MIN_INNER = 0.06
 MIN_BLOCKED = 0.4
 MIN_ROLL_VOTES = 6

@@ -20,8 +20,8 @@ from perception.covariance import covariance
 from perception.crop import Scene, crop
 from perception.errors import DegenerateCloudError, EmptyScanError
 from perception.estimate import PortEstimate, Prior
-from perception.evidence import judge, score
-from perception.gate import Findings, reasons_against, supporting, verdict
+from perception.evidence import Evidence, judge, score
+from perception.gate import MAX_ROLL_DISPUTE_RAD, Findings, reasons_against, supporting, verdict
 from perception.geometry import Array, Pose
 from perception.hypotheses import axis_hypotheses
 from perception.port_model import PortModel
@@ -46,6 +46,8 @@ class LocateSettings:
     """Candidates that are aligned."""
     finalists: int = 4
     """Candidates that are aligned further before one is chosen."""
+    second_looks: int = 2
+    """How often a refined pose that the evidence doubts is refined again."""
     align_points: int = 1500
     """Scan points that align them."""
     threads: int = 2
@@ -110,13 +112,14 @@ def _locate_one(cloud: Cloud, model: PortModel, prior: Prior, settings: LocateSe
         timer.lap("search")
         ranked = _align_and_rank(places, scene, model, settings)
         timer.lap("align")
-        refined = refine(ranked[0][1], scene, model, threads=settings.threads)
+        refined, evidence = _refine_and_judge(ranked[0][1], scene, model, settings)
         timer.lap("refine")
     except (EmptyScanError, DegenerateCloudError) as error:
         _log.info("not located: %s", error)
         nothing = PortEstimate.nothing_found(model.name, prior, cloud.frame, str(error), timer.done())
         return _with_what_is_there(nothing, cloud, prior, timer)
-    return _with_what_is_there(_judged(cloud, model, prior, scene, ranked, refined, timer), cloud, prior, timer)
+    judged = _judged(cloud, model, prior, scene, ranked, refined, evidence, timer)
+    return _with_what_is_there(judged, cloud, prior, timer)
 
 
 def _with_what_is_there(estimate: PortEstimate, cloud: Cloud, prior: Prior, timer: _Timer) -> PortEstimate:
@@ -162,6 +165,31 @@ def _ranked(
     return sorted(zip(scores, poses, strict=True), key=lambda entry: -entry[0])
 
 
+def _refine_and_judge(
+    start: Pose, scene: Scene, model: PortModel, settings: LocateSettings
+) -> tuple[Refined, Evidence]:
+    """The refined pose and what speaks for and against it. Raises DegenerateCloudError.
+
+    What looks as if it had stopped on its way is refined again, from there or from the roll that explains it better,
+    as long as that finds better.
+    """
+    refined = refine(start, scene, model, threads=settings.threads)
+    evidence = judge(refined.T_prior_port, scene, model, refined.scale_m)
+    for _ in range(settings.second_looks):
+        pose, rival = refined.T_prior_port, evidence.roll_against >= evidence.roll_for
+        if not evidence.doubtful and refined.roll_dispute_rad <= MAX_ROLL_DISPUTE_RAD:
+            break
+        roll = Pose.from_rotvec([0.0, 0.0, evidence.roll_rival_rad if rival else 0.0])
+        try:
+            other = refine(pose @ roll, scene, model, threads=settings.threads)
+        except DegenerateCloudError:
+            break
+        if score(other.T_prior_port, scene.thin_points, model) <= score(pose, scene.thin_points, model):
+            break
+        refined, evidence = other, judge(other.T_prior_port, scene, model, other.scale_m)
+    return refined, evidence
+
+
 def _subset(scene: Scene, count: int) -> NDArray[np.int64]:
     """Evenly spread numbers of thinned points."""
     return np.unique(np.linspace(0, len(scene.thin_points) - 1, count).astype(np.int64))
@@ -174,12 +202,12 @@ def _judged(
     scene: Scene,
     ranked: list[tuple[float, Pose]],
     refined: Refined,
+    evidence: Evidence,
     timer: _Timer,
 ) -> PortEstimate:
     pose = refined.T_prior_port
     cov = covariance(refined)
     timer.lap("covariance")
-    evidence = judge(pose, scene, model, refined.scale_m)
     margin = _margin(score(pose, scene.thin_points, model), pose, ranked)
     findings = Findings(
         pose,

@@ -25,6 +25,8 @@ from perception.sideways import settle_sideways
 ROUNDS = 10
 FULL_ROUNDS = 4
 _SUBSET = 4000
+_MANY = 20_000
+"""More points than these move the pose by less than the last round moves it back: that one takes them all."""
 _MIN_SCALE_M = 0.00003
 _TUKEY = 4.0
 """Points further off than this many robust standard deviations have no weight."""
@@ -101,8 +103,7 @@ def refine(start: Pose, scene: Scene, model: PortModel, *, threads: int = 2) -> 
     some = everything.every(max(1, len(everything.points) // _SUBSET))
     fit = _Fit(scene, model, threads)
     pose, scale = settle_sideways(start, everything, model, _FIRST_SCALE_M), 0.0005
-    last = range(ROUNDS - FULL_ROUNDS, ROUNDS)
-    for round_ in range(last.start):
+    for round_ in range(ROUNDS - FULL_ROUNDS):
         matches = match(pose, some, model, threads)
         scale = _robust_scale(matches.distance, previous=scale)
         try:
@@ -110,10 +111,10 @@ def refine(start: Pose, scene: Scene, model: PortModel, *, threads: int = 2) -> 
         except DegenerateCloudError:
             break  # so few points may leave the roll open where all of them do not
     pose = settle_sideways(pose, everything, model, scale, first=2)
-    final = fit.rounds(pose, everything, scale, last)
+    final = fit.last_rounds(pose, everything, scale)
     settled = settle_sideways(final.T_prior_port, everything, model, final.scale_m, first=1)
     if settled.angle_to(final.T_prior_port) > _DISPUTE_RAD:
-        final = fit.rounds(settled, everything, final.scale_m, last)
+        final = fit.last_rounds(settled, everything, final.scale_m)
         settled = settle_sideways(final.T_prior_port, everything, model, final.scale_m, first=1)
     pose, scale = final.T_prior_port, final.scale_m
     return replace(
@@ -130,11 +131,21 @@ def _gate(round_: int) -> float:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Fit:
-    """The last rounds, with every point and with nuisances."""
+    """The last rounds, with nuisances."""
 
     scene: Scene
     model: PortModel
     threads: int
+
+    def last_rounds(self, pose: Pose, measured: Measured, scale: float) -> Refined:
+        """All of them; the last one with every point. Raises DegenerateCloudError when that leaves a pose open."""
+        many = measured.every(max(1, len(measured.points) // _MANY))
+        try:
+            near = self.rounds(pose, many, scale, range(ROUNDS - FULL_ROUNDS, ROUNDS - 1))
+            pose, scale = near.T_prior_port, near.scale_m
+        except DegenerateCloudError:
+            pass  # so few points may leave the pose open where all of them do not
+        return self.rounds(pose, measured, scale, range(ROUNDS - 1, ROUNDS))
 
     def rounds(self, pose: Pose, measured: Measured, scale: float, which: range) -> Refined:
         """Moves ``pose`` by one step for each of the rounds ``which``. Raises DegenerateCloudError in the first.

@@ -212,8 +212,13 @@ def _disturbed(
     step = np.diff(clean, axis=1, append=clean[:, -1:])
     both = seen & np.roll(seen, -1, axis=1)
     edge = both & (np.abs(step) > _EDGE_STEP_M[0]) & (np.abs(step) < _EDGE_STEP_M[1])
-    mixed = edge & (rng.random(clean.shape) < sensor.mixed_pixels)
-    distance = clean + np.where(mixed, rng.random(clean.shape) * step, 0.0) + noise
+    # A spot on an edge belongs to the ray before it as often as to the one after.
+    chance, share = rng.random(clean.shape), rng.random(clean.shape)
+    before = edge & (chance < 0.5 * sensor.mixed_pixels)
+    after = np.roll(edge & ~before & (chance < sensor.mixed_pixels), 1, axis=1)
+    mixed = before | after
+    between = np.where(before, share * step, 0.0) - np.where(after, np.roll(share * step, 1, axis=1), 0.0)
+    distance = clean + between + noise
     flying = rng.random(clean.shape) < sensor.outliers
     near = flying & (rng.random(clean.shape) < 0.5)
     off = rng.uniform(0.0015, 0.008, clean.shape) * rng.choice([-1.0, 1.0], clean.shape)

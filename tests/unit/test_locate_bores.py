@@ -8,6 +8,7 @@ import pytest
 from controller.port_files import load_port
 from perception.crop import Scene
 from perception.evidence import judge
+from perception.front_map import CELL_M
 from perception.geometry import Array, Pose
 from perception.port_model import PortModel
 from perception.port_solid import build_mesh
@@ -54,6 +55,19 @@ def test_empty_bores_are_seen(gbt_ac: PortModel) -> None:
 def test_filled_bores_contradict_the_port(gbt_ac: PortModel) -> None:
     found = judge(Pose.identity(), scene(face_points(filled=True)), gbt_ac, 1e-4)
     assert found.features_denied >= 5
+
+
+def test_a_few_flying_points_over_a_well_that_shows_no_floor_deny_nothing_and_a_filled_well_is_denied() -> None:
+    chademo = PortModel.from_mesh("chademo", *build_mesh(load_port("chademo").shape))
+    front = chademo.front
+    wells = [k for k in range(1, front.features + 1) if np.nanmax(front.highest[front.feature == k]) < -0.03]
+    cells = np.argwhere(front.feature == wells[0])
+    over = np.column_stack([front.low + (cells + 0.5) * CELL_M, np.full(len(cells), -0.006)])
+    rim = np.column_stack([np.linspace(-0.03, 0.03, 300), np.full(300, -0.0385), np.zeros(300)])
+    few = judge(Pose.identity(), scene(np.vstack([rim, over[:6]])), chademo, 1e-4)
+    filled = judge(Pose.identity(), scene(np.vstack([rim, over])), chademo, 1e-4)
+    assert len(cells) > 150
+    assert (few.features_denied, filled.features_denied) == (0, 1)
 
 
 def test_without_points_around_it_a_bore_says_nothing(gbt_ac: PortModel) -> None:

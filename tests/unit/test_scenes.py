@@ -12,6 +12,7 @@ import pytest
 from controller.port_files import load_port
 from mocks import recordings
 from perception.errors import ScanFileError
+from perception.evaluation import sensor as sensor_module
 from perception.evaluation.built import BuiltTolerance
 from perception.evaluation.recorded import read_sweep, write_sweep
 from perception.evaluation.scenes import (
@@ -277,3 +278,16 @@ def test_bundled_recordings_are_small_and_true(name: str) -> None:
     points = sweep.T_scanner_port.inverse().apply(sweep.cloud.points)
     away = distance_to(build_mesh(load_port(name).shape), points)
     assert (away < 0.0005).sum() > 4000
+
+
+def test_mixed_pixels_lie_on_either_side_of_an_edge_equally_often() -> None:
+    rows, step_m = 4000, 0.01
+    clean = np.repeat([[0.30, 0.30, 0.30, 0.30 + step_m, 0.30 + step_m, 0.30 + step_m]], rows, axis=0)
+    seen, face = np.ones(clean.shape, dtype=bool), np.zeros(clean.shape, dtype=np.int64)
+    sensor = replace(CLEAN, mixed_pixels=0.4)
+    distance, _, _, good = sensor_module._disturbed(clean, 0.0 * clean, seen, face, sensor, np.random.default_rng(5))
+    moved = np.abs(distance - clean) > 1e-9
+    assert np.array_equal(moved, ~good)
+    assert moved[:, [0, 1, 4, 5]].sum() == 0
+    assert np.allclose(moved[:, 2:4].mean(axis=0), 0.2, atol=0.02)
+    assert ((distance >= 0.30) & (distance <= 0.30 + step_m)).all()
