@@ -10,7 +10,7 @@ from pathlib import Path
 from controller.planning import DockPlan
 from perception.geometry import Pose
 
-_NAME = "insertion.json"
+INSERTION_NAME = "insertion.json"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -27,7 +27,7 @@ def remember_insertion(folder: Path, plan: DockPlan) -> None:
         "T_base_port": plan.T_base_port.matrix.tolist(),
         "T_port_tcp_mated": plan.T_port_tcp_mated.matrix.tolist(),
     }
-    write_durably(folder / _NAME, json.dumps(values))
+    write_durably(folder / INSERTION_NAME, json.dumps(values))
 
 
 def write_durably(path: Path, text: str) -> None:
@@ -43,14 +43,14 @@ def write_durably(path: Path, text: str) -> None:
 
 def forget_insertion(folder: Path) -> None:
     """The plug is out and clear."""
-    (folder / _NAME).unlink(missing_ok=True)
+    (folder / INSERTION_NAME).unlink(missing_ok=True)
     _sync(folder)
 
 
 def recall_insertion(folder: Path) -> StoredInsertion | None:
     """The stored insertion, or None. A damaged file counts as none: the caller then asks for a person."""
     try:
-        values = json.loads((folder / _NAME).read_text(encoding="utf-8"))
+        values = json.loads((folder / INSERTION_NAME).read_text(encoding="utf-8"))
         return StoredInsertion(Pose.from_matrix(values["T_base_port"]), Pose.from_matrix(values["T_port_tcp_mated"]))
     except (OSError, ValueError, KeyError, TypeError):
         return None

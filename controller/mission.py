@@ -23,7 +23,7 @@ from controller.states import RESTING, Event, State, next_state
 from controller.supervisor import PauseRequested, StopRequested
 from controller.task import Desk, Goal, Progress, SingleJob, Task, Watcher
 from controller.undocking import release, retreat
-from controller.waiting import hold, leave_docked
+from controller.waiting import NO_AXIS, hold, leave_docked
 from drivers.base import ChargerRequest, LinkLostError, Proximity
 from perception.errors import PortdockError
 from perception.geometry import Pose
@@ -43,7 +43,6 @@ STEPS: dict[State, Callable[[Task], Event | None]] = {
     State.HOLD: hold,
 }
 """The procedure. READY, CHARGING and FAULT, where a mission rests, are below."""
-NO_AXIS = Fault(FaultCode.AXIS_UNKNOWN, "the plug was found inserted and no insertion is stored; the charge goes on")
 
 
 class Mission:
@@ -84,10 +83,10 @@ class Mission:
             self._step()
         return self.now.outcome
 
-    def go_on(self, state: State, goal: Goal) -> Outcome:
-        """One job from a state of rest to its outcome: where a replay of a daemon's recording begins."""
+    def go_on(self, state: State, goal: Goal, first: Event) -> Outcome:
+        """One job from a state of rest to its outcome: a replay of a daemon's recording, with its first transition."""
         self.state = state
-        self.task.desk = SingleJob(goal)
+        self.task.desk = SingleJob(None if first in (Event.STOP, Event.CHARGE_COMPLETE) else goal)
         self.task.cell.enter(state, None)
         while self.now.outcome is None:
             self._step()

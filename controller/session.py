@@ -20,6 +20,7 @@ from controller.calibrations.dock_log import append_dock, drift_warnings, rest_o
 from controller.calibrations.in_force import basis_of
 from controller.cell import Cell
 from controller.config import SiteConfig, as_yaml
+from controller.durable import INSERTION_NAME
 from controller.faults import Outcome
 from controller.insertion import Insertion
 from controller.looking import Looking
@@ -192,6 +193,12 @@ def attach_context(recorder: Recorder, config: SiteConfig, model: PreparedModel,
     recorder.attach("model_points.npz", buffer.getvalue(), "application/x-npz")
     recorder.metadata("mission", values | {"model": model.checksum})
     recorder.transform("flange", "scanner", config.scanner.T_flange_scanner.pose)
+
+
+def attach_insertion(recorder: Recorder, memory: Path) -> None:
+    """The insertion that a daemon's job begins with, where one is stored: undocking goes back along its axis."""
+    with suppress(FileNotFoundError):
+        recorder.attach(INSERTION_NAME, (memory / INSERTION_NAME).read_bytes(), "application/json")
 
 
 def summary_of(

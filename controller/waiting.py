@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import logging
 
-from controller.faults import FaultCode, MissionFault
+from controller.faults import Fault, FaultCode, MissionFault
 from controller.states import Event
 from controller.task import Task
 from controller.undocking import switch_off
 
 log = logging.getLogger(__name__)
+
+NO_AXIS = Fault(FaultCode.AXIS_UNKNOWN, "the plug was found inserted and no insertion is stored; the charge goes on")
 
 
 def hold(task: Task) -> Event:

@@ -84,7 +84,7 @@ class Daemon:
             records = Recordings(config, self._server.publish, self._concluded, self._setting.reports)
             live = self._assemble(config, records, closing, self._notifier.alive)
             closing.callback(records.close)
-            records.attach(live.cell, live.model)
+            records.attach(live.cell, live.model, self._memory)
             self._board.attach(live.cell)
             mission = self._mission(live, records)
             records.on_transition = lambda source, event, target: self._entered(mission)

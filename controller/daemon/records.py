@@ -28,6 +28,7 @@ from controller.session import (
     REPORT_NAME,
     MissionWatcher,
     attach_context,
+    attach_insertion,
     close_recording,
     record_looks,
     summary_of,
@@ -68,14 +69,15 @@ class Recordings:
         self._closing = ExitStack()
         self._cell: Cell | None = None
         self._model: PreparedModel | None = None
+        self._memory = Path()
         self._drawing: subprocess.Popen[bytes] | None = None
         self._begin_s = 0.0
         self.on_transition: Callable[[str, str, str], None] = lambda source, event, target: None
         """Told every transition, also those between missions."""
 
-    def attach(self, cell: Cell, model: PreparedModel) -> None:
-        """The live cell: known only after the sink that is handed to it."""
-        self._cell, self._model = cell, model
+    def attach(self, cell: Cell, model: PreparedModel, memory: Path) -> None:
+        """The live cell: known only after the sink that is handed to it. ``memory``: where an insertion is stored."""
+        self._cell, self._model, self._memory = cell, model, memory
         record_looks(cell, self)
 
     # --- a mission's life ---------------------------------------------------------------------------------------------
@@ -93,6 +95,7 @@ class Recordings:
             log.error("this mission is not recorded: %s", error)
             return
         attach_context(recorder, self._config, self._model, {"goal": goal.value})
+        attach_insertion(recorder, self._memory)
         self._closing.enter_context(log_into(recorder))
         self._watcher = MissionWatcher(recorder, _Unseen())
         self._recorder = recorder

@@ -48,8 +48,11 @@ ARM_STATE = Layout(
         Field("moving", "bool"),
         Field("program_running", "bool"),
         Field("speed_scaling", "double"),
+        Field("digital_outputs", "int"),
     ),
 )
+_WITHOUT_OUTPUTS = len(ARM_STATE.fields) - 1
+"""So many fields have the arm's samples of recordings that were made before outputs were among them."""
 
 _SCANNER_STRUCT, _SCANNER_TAGS = SCANNER_BYTES.struct, SCANNER_BYTES.prefixes
 _CAN_STRUCT, _CAN_TAGS = CAN_FRAME.struct, CAN_FRAME.prefixes
@@ -103,18 +106,21 @@ def encode_arm_state(state: ArmState) -> bytes:
         *(tags[6], *state.joints.tolist(), tags[7], *state.tcp_speed.tolist(), tags[8], *state.wrench.tolist()),
         *(tags[9], int(state.mode), tags[10], int(state.safety)),
         *(tags[11], state.moving, tags[12], state.program_running, tags[13], state.speed_scaling),
+        *(tags[14], state.digital_outputs),
     )
 
 
 def arm_table(records: Sequence[bytes]) -> NDArray[np.void]:
-    """All samples of a stream as one structured array (N,) with the fields of ``ARM_STATE``.
+    """All samples of a stream as one structured array (N,) with the fields of ``ARM_STATE``; older ones lack outputs.
 
     Raises ValueError for anything but records written here.
     """
-    if any(len(record) != _ARM_STRUCT.size for record in records):
+    layouts = {dtype.itemsize: dtype for dtype in (_arm_dtype(_WITHOUT_OUTPUTS), _arm_dtype(len(ARM_STATE.fields)))}
+    sizes = {len(record) for record in records} or {_ARM_STRUCT.size}
+    if len(sizes) > 1 or not sizes <= layouts.keys():
         raise ValueError("an arm state in the recording has another length than this version writes")
-    table = np.frombuffer(b"".join(records), dtype=_arm_dtype())
-    for index, prefix in enumerate(_ARM_TAGS):
+    table = np.frombuffer(b"".join(records), dtype=layouts[sizes.pop()])
+    for index, prefix in enumerate(_ARM_TAGS[: len(table.dtype.names or ()) // 2]):
         if (table[f"tag{index}"] != np.frombuffer(prefix, dtype=f"V{len(prefix)}")).any():
             raise ValueError(f"an arm state in the recording lacks {ARM_STATE.fields[index].name}")
     return table
@@ -135,13 +141,15 @@ def arm_state(row: NDArray[np.void]) -> ArmState:
         moving=bool(row["moving"]),
         program_running=bool(row["program_running"]),
         speed_scaling=float(row["speed_scaling"]),
+        digital_outputs=int(row["digital_outputs"]) if "digital_outputs" in (row.dtype.names or ()) else 0,
     )
 
 
-def _arm_dtype() -> np.dtype[np.void]:
+def _arm_dtype(count: int) -> np.dtype[np.void]:
+    """Layout of samples that have the first ``count`` fields."""
     kinds = {"double": "<f8", "int": "<i4", "bool": "?"}
     fields: list[tuple[str, str] | tuple[str, str, tuple[int]]] = []
-    for index, field in enumerate(ARM_STATE.fields):
+    for index, field in enumerate(ARM_STATE.fields[:count]):
         fields.append((f"tag{index}", f"V{len(_ARM_TAGS[index])}"))
         if field.kind == "doubles":
             fields.append((field.name, "<f8", (field.count,)))

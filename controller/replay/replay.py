@@ -13,6 +13,8 @@ from typing import Protocol
 from controller import wiring
 from controller.assembly import cell_of, mated_pose
 from controller.cell import Locator
+from controller.durable import INSERTION_NAME
+from controller.faults import Fault, FaultCode
 from controller.looking import Looking
 from controller.mission import Mission
 from controller.pace import PacedClock
@@ -23,8 +25,10 @@ from controller.replay.evidence import ReplayEvidence
 from controller.replay.story import Story, story_of
 from controller.replay.ticking import ReplaySupervisor
 from controller.rough_look import CoarseStage
+from controller.self_check import stored_plan
 from controller.sources import Sources
 from controller.states import State
+from controller.task import Goal
 from drivers.playback import EndOfRecording, Playback
 from perception.estimate import PortEstimate, Prior
 from perception.rough import RoughPlace
@@ -113,7 +117,22 @@ def _run(mission: Mission, story: Story) -> None:
     if story.state is State.OFFLINE:
         mission.run(story.goal)
         return
-    mission.go_on(story.state, story.goal)
+    _take_up(mission, story)
+    mission.go_on(story.state, story.goal, story.first)
+
+
+def _take_up(mission: Mission, story: Story) -> None:
+    """What a daemon knows in a state of rest."""
+    task = mission.task
+    if story.insertion:
+        (task.state_folder / INSERTION_NAME).write_bytes(story.insertion)
+    docked = story.state is State.CHARGING
+    if story.state is State.FAULT and story.goal is Goal.UNDOCK:
+        mission.fault = Fault(FaultCode.PLUG_INSERTED_AT_START)  # no other is left by an undocking
+    task.plan = stored_plan(task)
+    task.cell.T_base_port = None if task.plan is None else task.plan.T_base_port
+    task.charging_seen = task.cell.supervisor.facts.mated = docked
+    task.cell.supervisor.facts.clear_of_vehicle = not docked and task.plan is None
 
 
 def _perception(story: Story) -> PerceptionHere:

@@ -8,6 +8,7 @@ import yaml
 
 from controller.config import SiteConfig, parse_config
 from controller.config_section import ConfigError
+from controller.durable import INSERTION_NAME
 from controller.recording.errors import RecordingFileError
 from controller.recording.reader import Recording
 from controller.states import Event, State
@@ -35,6 +36,10 @@ class Story:
     """Mission seconds per host second: not 1 only for a dry run with ``--fast``."""
     goal: Goal
     state: State
+    first: Event
+    """What led out of that state."""
+    insertion: bytes
+    """The stored axis that it began with; empty if none was."""
     start_s: float
     """Host's time of the first transition."""
     asked: tuple[Asked, ...]
@@ -59,6 +64,7 @@ def story_of(recording: Recording) -> Story:
     first = steps[0]
     try:
         goal, state = Goal(facts.get("goal", Goal.CYCLE.value)), State[first.from_state]
+        event = Event(first.event)
         pace = float(facts.get("pace", "1"))
     except (KeyError, ValueError) as error:
         raise RecordingFileError(f"{recording.path} speaks of what this version does not know: {error}") from error
@@ -67,6 +73,8 @@ def story_of(recording: Recording) -> Story:
         pace=pace,
         goal=goal,
         state=state,
+        first=event,
+        insertion=stored.data if (stored := recording.attachments.get(INSERTION_NAME)) else b"",
         start_s=first.time_s,
         asked=_asked(recording),
         model_checksum=facts.get("model", ""),

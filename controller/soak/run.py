@@ -134,7 +134,7 @@ class _World:
             records = Recordings(config, lambda event: None, lambda *_: None, reports=False)
             live = assemble(config, records, closing, pace=plan.pace, heartbeat_mode=1)
             closing.callback(records.close)
-            records.attach(live.cell, live.model)
+            records.attach(live.cell, live.model, Path(wires))
             mission = Mission(live.cell, config, live.T_port_tcp_mated, records, Path(wires))
 
             def make_trouble(source: str, event: str, target: str) -> None:

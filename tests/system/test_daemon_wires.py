@@ -20,6 +20,7 @@ from controller.daemon.client import DaemonClient
 from controller.daemon.protocol import Request
 from controller.port_files import load_port
 from controller.recording.reader import read_recording
+from controller.replay.replay import replay
 from controller.scenarios import draw_scenario
 
 pytestmark = [pytest.mark.long, pytest.mark.timeout(1200)]
@@ -88,7 +89,11 @@ def test_a_daemon_killed_while_charging_comes_up_safe_and_undocks_when_asked(sit
         assert (code, undocked["outcome"]) == (0, "undocked"), undocked
         status = ask(site, "status")[1]
         assert (status["state"], status["plug"], status["lock"]) == ("READY", "ABSENT", "UNLOCKED")
-        assert all(read_recording(path).complete for path in (site.parent / "runs").glob("*/mission.mcap"))
+        recordings = [read_recording(path) for path in sorted((site.parent / "runs").glob("*/mission.mcap"))]
+        assert [one.complete for one in recordings] == [True, True]
+        for recorded, last in zip(recordings, ("CHARGING", "READY"), strict=True):
+            again = replay(recorded, recorded_estimates=True)
+            assert again.difference is None and again.states[-1] == last, f"{again.difference} {again.ended}"
     finally:
         second.send_signal(signal.SIGTERM)
         assert second.wait(60) == 0

@@ -1,6 +1,7 @@
 """What lies in the file, checked against literal bytes and published schema names: other programs read it too."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +21,7 @@ from controller.recording.records import (
     encode_can_frame,
     encode_scanner_bytes,
 )
+from controller.recording.records import arm_state as recorded_arm_state
 from drivers.base import CanFrame
 from tests.unit.recording_samples import arm_state, record_mission, scan_cloud
 
@@ -102,6 +104,15 @@ def test_arm_records_of_another_layout_are_refused() -> None:
         arm_table([b"\x0a" + good[1:]])
     with pytest.raises(ValueError, match="another length"):
         arm_table([good, good + b"\x00"])
+
+
+def test_digital_outputs_come_back_and_are_zero_in_older_recordings() -> None:
+    record = encode_arm_state(replace(arm_state(1.0), digital_outputs=0b1010_0001))
+    assert recorded_arm_state(arm_table([record])[0]).digital_outputs == 0b1010_0001
+    older = recorded_arm_state(arm_table([record[:-5]])[0])
+    assert (older.digital_outputs, older.speed_scaling) == (0, arm_state(1.0).speed_scaling)
+    with pytest.raises(ValueError, match="another length"):
+        arm_table([record, record[:-5]])
 
 
 def test_a_stream_of_arm_states_decodes_as_one_table() -> None:

@@ -11,7 +11,7 @@ from controller.replay.evidence import STATE, WAIT
 from controller.replay.story import Asked, Story
 from controller.replay.ticking import ReplaySupervisor
 from controller.sources import Sources
-from controller.states import State
+from controller.states import Event, State
 from controller.supervisor import StopRequested
 from controller.task import Goal
 from drivers.playback import ARM, EndOfRecording, Playback
@@ -21,7 +21,7 @@ from tests.unit.mission_rig import StandInArm, StandInCharger, StandInScanner
 def supervisor(waits_s: list[float], asked: tuple[Asked, ...] = ()) -> tuple[ReplaySupervisor, Playback]:
     config, playback = load_config(), Playback(0.0)
     playback.cue(WAIT, waits_s)
-    story = Story(config, 1.0, Goal.CYCLE, State.OFFLINE, 0.0, asked, "", 100.0, True)
+    story = Story(config, 1.0, Goal.CYCLE, State.OFFLINE, Event.STARTED, b"", 0.0, asked, "", 100.0, True)
     arm = StandInArm(config.port.T_base_port.pose)
     sources = Sources(arm, StandInCharger(arm), StandInScanner())
     return ReplaySupervisor(sources, playback, playback, 0.5, story), playback
