@@ -15,14 +15,16 @@ from perception.refine import Refined
 PATCH_M = 0.006
 BUILT_M = 0.0002
 """Flats that are at odds by no more are as parts are built; by more, and which of them is right is not known."""
-ACROSS_M = 0.00001
-ACROSS_SIGMAS = 0.2
-"""Standard deviation across the axis that no residual shows, and its share of the noise: mixed pixels and shadows
-displace what bounds the port sideways, all of it in one direction."""
+SWEEP_M, SWEEP_SIGMAS = 0.00001, 0.17
+LINE_SIGMAS = 0.05
+"""Standard deviation across the axis that no residual shows, and its share of the noise: along the sweep, where speed
+and vibration act and shadows fall to one side, and along the laser's line."""
 LEVER_M = 0.025
 """How far from the axis such a displacement acts when it turns the port."""
-TILT_SIGMAS = 0.03
-"""The same for what tilts it, at the same lever: vibration along the axis that is slow enough to look like a tilt."""
+ROLL_SIGMAS = 0.05
+TILT_SIGMAS = 0.02
+"""The same at that lever for the roll, and for what tilts the port up or down along the sweep: vibration along the axis
+that is slow enough looks like a tilt. All of them fit the errors of 252 nominal and hard scans (seeds 60 and 61)."""
 
 
 def covariance(refined: Refined) -> Array:
@@ -34,11 +36,21 @@ def covariance(refined: Refined) -> Array:
     pull = refined.jacobian[order] * (refined.weight * refined.distance)[order, None]
     sums = np.add.reduceat(pull, np.searchsorted(patch[order], np.arange(count)), axis=0)
     clustered = inverse @ (sums.T @ sums) @ inverse * (count / max(count - 6, 1))
-    across = ACROSS_M + ACROSS_SIGMAS * refined.scale_m
-    tilt = TILT_SIGMAS * refined.scale_m / LEVER_M
-    along = max(0.0, abs(refined.depth_dispute_m) - BUILT_M)
-    unseen = np.square([across, across, along, tilt, tilt, across / LEVER_M])
-    return np.asarray((inverse + clustered)[:6, :6] + np.diag(unseen))
+    return np.asarray((inverse + clustered)[:6, :6] + _unseen(refined))
+
+
+def _unseen(refined: Refined) -> Array:
+    """(6, 6) what no residual shows."""
+    x, y = refined.sweep[:2] / max(float(np.hypot(*refined.sweep[:2])), 1e-9)
+    turned = np.array([[x, -y], [y, x]])  # columns: along the sweep, along the laser's line
+    across = np.array([SWEEP_M + SWEEP_SIGMAS * refined.scale_m, LINE_SIGMAS * refined.scale_m])
+    tilt = np.array([0.0, TILT_SIGMAS * refined.scale_m / LEVER_M])  # about each of the two
+    found = np.zeros((6, 6))
+    found[:2, :2] = turned @ np.diag(across**2) @ turned.T
+    found[2, 2] = max(0.0, abs(refined.depth_dispute_m) - BUILT_M) ** 2
+    found[3:5, 3:5] = turned @ np.diag(tilt**2) @ turned.T
+    found[5, 5] = ((SWEEP_M + ROLL_SIGMAS * refined.scale_m) / LEVER_M) ** 2
+    return found
 
 
 def _patches(refined: Refined) -> Array:

@@ -9,12 +9,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from perception.flats import Flats
+from perception.flats import FLOOR_M, Flats
 from perception.geometry import Array, Pose
 from perception.matching import Measured
 
-FLOOR_M = 0.025
-"""Flats deeper than this below the rim are floors, each make's at its own depth; contacts end far above them."""
 _FACING = 0.9
 _WITHIN_M = 0.0005
 """A point belongs to a flat if it lies so far within its edge."""

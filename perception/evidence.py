@@ -12,9 +12,10 @@ from numpy.typing import NDArray
 from scipy.ndimage import binary_dilation, binary_erosion
 
 from perception.crop import Scene
-from perception.front_map import CELL_M, TOLERANCE_M, FrontMap, rolled
+from perception.front_map import CELL_M, TOLERANCE_M, FrontMap
 from perception.geometry import Array, Pose
 from perception.port_model import PortModel
+from perception.rivals import mirror_image, rival_roll, votes_of
 
 VOTE_CELL_M = 0.0015
 ABOVE_RIM_M = 0.003
@@ -25,12 +26,11 @@ _BORE_LEAST = 6.0
 """Points that a filled bore would show, from which on its emptiness says something."""
 _BORE_EMPTY, _BORE_FILLED = 0.25, 0.5
 """Shares of those points that an empty bore may show, and that a filled one must."""
+MOST_NEEDED = 2
 MAX_DENIED = 0.25
 """Of the features that are seen or denied, so many may be denied."""
 _DENIED_LEAST, _DENIED_SHARE = 4, 0.05
 """Points that deny a feature: at least so many, and this share of what the feature would show if it were filled."""
-_ROLL_STEP_DEG = 4.0
-_ROLL_FROM_DEG = 12.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,6 +60,14 @@ class Evidence:
     roll_against: int
     roll_rival_rad: float
     """By how much the strongest rival is rolled."""
+    features_needed: int = MOST_NEEDED
+    """So many features must be seen."""
+    contacts: int = 0
+    """Of the features, the tips within the inlet that stand free of what is around them."""
+    contacts_seen: int = 0
+    contacts_denied: int = 0
+    mirror: tuple[int, int] | None = None
+    """Points that speak for this port, and for its mirror image; None where a port is its own."""
 
     @property
     def violation(self) -> float:
@@ -107,7 +115,10 @@ def judge(pose: Pose, scene: Scene, model: PortModel, noise_m: float) -> Evidenc
     weight = np.bincount(cell, front.distinct[i, j]) / np.maximum(np.bincount(cell), 1)
     good, behind, before = _votes(counts)
     seen, denied = _features(front, i, j, misfit, tolerance)
-    rival, roll_for, roll_against = _rival_roll(local, misfit, cell, front, tolerance)
+    empty, filled = _bores(front, i, j, misfit, tolerance)
+    contacts = model.contacts - 1
+    votes = votes_of(local, misfit, cell, tolerance)
+    rival, roll_for, roll_against = rival_roll(votes, front)
     outline = np.isfinite(front.lowest).sum() * CELL_M**2
     return Evidence(
         float(weight[good].sum()),
@@ -115,13 +126,18 @@ def judge(pose: Pose, scene: Scene, model: PortModel, noise_m: float) -> Evidenc
         float(weight[before].sum()),
         min(float(good.sum()) * (3 * CELL_M) ** 2 / outline, 1.0),
         front.features + front.bores,
-        seen,
-        denied,
+        int(seen.sum()) + empty,
+        int(denied.sum()) + filled,
         inner,
         blocked,
         roll_for,
         roll_against,
         rival,
+        min(MOST_NEEDED, (front.shallow_features + front.bores + 1) // 2),
+        len(contacts),
+        int(seen[contacts].sum()),
+        int(denied[contacts].sum()),
+        mirror_image(votes, front) if model.handed else None,
     )
 
 
@@ -145,36 +161,30 @@ def _inner(front: FrontMap, local: Array, misfit: Array, tolerance: float) -> tu
 
 def _features(
     front: FrontMap, i: NDArray[np.int64], j: NDArray[np.int64], misfit: Array, tolerance: float
-) -> tuple[int, int]:
-    """How many contact-sized features have points that agree, and how many have points that contradict.
+) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Which contact-sized features (F,) have points that agree, and which have points that contradict.
 
     A well whose floor the laser does not reach has a few flying points of its edges, and nothing that agrees.
     """
     number = front.feature[i, j].astype(np.int64)
-    solid, bore = np.maximum(number, 0), np.maximum(-number, 0)
+    solid = np.maximum(number, 0)
     agree = np.bincount(solid, np.abs(misfit) < tolerance, minlength=front.features + 1)[1:]
     against = np.bincount(solid, np.abs(misfit) >= tolerance, minlength=front.features + 1)[1:]
     size = np.bincount(np.maximum(front.feature, 0).ravel(), minlength=front.features + 1)[1:]
     filled_shows = size * len(i) / max(len(np.unique(i * front.feature.shape[1] + j)), 1)
     enough = against >= np.maximum(_DENIED_LEAST, _DENIED_SHARE * filled_shows)
-    seen, denied = (agree >= 2) & (agree >= against), enough & (against > 2 * agree)
-    empty, filled = _bores(front, i, j, bore, misfit, tolerance)
-    return int(seen.sum()) + empty, int(denied.sum()) + filled
+    return (agree >= 2) & (agree >= against), enough & (against > 2 * agree)
 
 
 def _bores(
-    front: FrontMap,
-    i: NDArray[np.int64],
-    j: NDArray[np.int64],
-    bore: NDArray[np.int64],
-    misfit: Array,
-    tolerance: float,
+    front: FrontMap, i: NDArray[np.int64], j: NDArray[np.int64], misfit: Array, tolerance: float
 ) -> tuple[int, int]:
     """How many bores are seen to be empty, and how many have something in them.
 
     A laser that enters a bore is hardly ever seen coming back: emptiness is that points stop at its edge. It counts
     where the surface around is seen so densely that a filled bore would show.
     """
+    bore = np.maximum(-front.feature[i, j].astype(np.int64), 0)
     empty = filled = 0
     hits = np.zeros(front.feature.shape)
     np.add.at(hits, (i, j), np.abs(misfit) < tolerance)
@@ -188,28 +198,3 @@ def _bores(
             empty += found < _BORE_EMPTY * expected
             filled += found > _BORE_FILLED * expected
     return empty, filled
-
-
-def _rival_roll(
-    local: Array, misfit: Array, cell: NDArray[np.int64], front: FrontMap, tolerance: float
-) -> tuple[float, int, int]:
-    """The other roll that explains the scan best: its angle, and how many cells speak for this one and for that."""
-    # One point for each cell, of the cell's majority: votes, not density, and no vote from a lone flying point.
-    agrees = np.abs(misfit) < tolerance
-    balance = np.bincount(cell, np.where(agrees, 1.0, -1.0))
-    voter = np.where(agrees, balance[cell] >= 0, balance[cell] < -1.5)
-    kept = np.flatnonzero(voter)
-    first = kept[np.unique(cell[kept], return_index=True)[1]]
-    local, agrees = local[first], agrees[first]
-    best = (0.0, 0, 0)
-    lowest = np.inf
-    for angle_deg in np.arange(_ROLL_FROM_DEG, 360.0 - _ROLL_FROM_DEG + 0.1, _ROLL_STEP_DEG):
-        roll = float(np.deg2rad(angle_deg))
-        other = front.misfit(rolled(local, roll))
-        known = ~np.isnan(other)
-        rival = known & (np.abs(other) < tolerance)
-        mine, its = int((known & agrees & ~rival).sum()), int((rival & ~agrees).sum())
-        margin = (mine - its) / max(mine + its, 1)
-        if margin < lowest or (margin == lowest and mine + its > best[1] + best[2]):
-            lowest, best = margin, (float(np.arctan2(np.sin(roll), np.cos(roll))), mine, its)
-    return best

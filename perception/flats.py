@@ -22,6 +22,8 @@ REACH_M = 0.003
 _FLAT = 0.97
 """A surface is flat whose normal has at least this cosine with the axis."""
 _LEVEL_GAP_M = 0.0005
+FLOOR_M = 0.025
+"""Flats deeper than this below the rim are floors, each make's at its own depth; contacts end far above them."""
 _SAME_M = 0.0003
 _LEAST_AREA_M2 = 5e-6
 """Less than the tip of the smallest contact is no level."""

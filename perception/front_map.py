@@ -12,9 +12,17 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import binary_dilation, binary_erosion, binary_fill_holes, label, maximum_filter, minimum_filter
+from scipy.ndimage import (
+    binary_dilation,
+    binary_erosion,
+    binary_fill_holes,
+    label,
+    maximum,
+    maximum_filter,
+    minimum_filter,
+)
 
-from perception.flats import near_any
+from perception.flats import FLOOR_M, near_any
 from perception.geometry import Array
 
 CELL_M = 0.0005
@@ -48,6 +56,12 @@ class FrontMap:
     def features(self) -> int:
         """How many contact-sized features with a surface there are."""
         return max(int(self.feature.max()), 0)
+
+    @property
+    def shallow_features(self) -> int:
+        """Those of them that no depth hides from a laser."""
+        heights = maximum(np.nan_to_num(self.highest, nan=-np.inf), self.feature, range(1, self.features + 1))
+        return int(np.sum(np.asarray(heights) > -FLOOR_M))
 
     @property
     def bores(self) -> int:

@@ -15,7 +15,6 @@ from perception.port_model import AcceptanceLimits
 MIN_COVERAGE = 0.15
 MAX_VIOLATION = 0.25
 MIN_MARGIN = 0.10
-MIN_FEATURES = 2
 MIN_INNER = 0.06
 MIN_BLOCKED = 0.4
 MIN_ROLL_VOTES = 6
@@ -117,10 +116,18 @@ def _unsupported(findings: Findings) -> list[str]:
     if e.violation > MAX_VIOLATION:
         where = "behind the port's surface" if e.behind > e.before else "where the port leaves space free"
         found.append(f"{e.violation:.0%} of the distinctive evidence contradicts the port: points {where}")
-    if e.features and e.features_seen < min(MIN_FEATURES, e.features):
+    if e.features_seen < e.features_needed:
         found.append(f"only {e.features_seen} of {e.features} contacts and wells are seen where they should be")
     if e.features_denied > MAX_DENIED * (e.features_seen + e.features_denied):
         found.append(f"{e.features_denied} contacts or wells are contradicted, {e.features_seen} are seen")
+    if e.contacts > 1 and not e.contacts_seen:
+        found.append(f"none of the {e.contacts} contacts is seen")
+    elif e.contacts_denied > MAX_DENIED * (e.contacts_seen + e.contacts_denied):
+        found.append(f"{e.contacts_denied} contacts are not where they should be, {e.contacts_seen} are seen")
+    if e.mirror is not None and sum(e.mirror) < MIN_ROLL_VOTES:
+        found.append("hardly any point tells this port from its mirror image")
+    elif e.mirror is not None and e.mirror[0] - e.mirror[1] < MIN_ROLL_MARGIN * sum(e.mirror):
+        found.append(f"its mirror image explains the scan as well: {e.mirror[0]} places for, {e.mirror[1]} against")
     if e.inner < MIN_INNER or e.blocked > e.inner:
         found.append(
             f"{e.inner:.0%} of the inlet is seen as it should be and {e.blocked:.0%} has something before it:"

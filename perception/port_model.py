@@ -23,6 +23,7 @@ from perception.geometry import Array, Pose
 from perception.mesh_io import checked_mesh
 from perception.nearest import NearestField, build_nearest
 from perception.relief import Templates, build_templates
+from perception.rivals import differs_mirrored
 from perception.surface import Surface, visible_surface
 
 _log = logging.getLogger(__name__)
@@ -132,6 +133,17 @@ class PortModel:
         """A kd-tree of the surface samples by place and facing direction (6-D, normals times ``FACING_M``)."""
         keys = np.hstack([self.surface.points, FACING_M * self.surface.normals])
         return cKDTree(keys, balanced_tree=False, compact_nodes=False)
+
+    @cached_property
+    def contacts(self) -> NDArray[np.int64]:
+        """Numbers of the front map's features that are contacts: tips within the inlet that stand free."""
+        number = self.floating.number
+        return np.unique(number[(number > 0) & (number == self.front.feature) & self.front.inner])
+
+    @cached_property
+    def handed(self) -> bool:
+        """Whether the port is not its own mirror image."""
+        return differs_mirrored(self.front)
 
     @cached_property
     def floating(self) -> Floating:

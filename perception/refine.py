@@ -71,6 +71,8 @@ class Refined:
     """(N - planes,) which of the matched points the equations for edges belong to."""
     scale_m: float
     """Robust standard deviation of the distances to surfaces."""
+    sweep: Array
+    """(3,) unit vector of the scanner's sweep."""
     roll_dispute_rad: float = 0.0
     """How far from this roll the port's edges alone would have it."""
     distortion: Distortion = UNDISTORTED
@@ -218,6 +220,7 @@ def _equations(pose: Pose, matches: Matches, model: PortModel, scale: float, gat
         len(matches.local),
         edges.of,
         scale,
+        np.zeros(3),
     )
 
 
@@ -243,6 +246,7 @@ def _with_nuisance(equations: Refined, matches: Matches, measured: Measured, sce
         equations,
         jacobian=np.hstack([equations.jacobian, extra]),
         precision=np.concatenate([equations.precision, sigma**-2]),
+        sweep=direction,
     )
 
 

@@ -11,6 +11,7 @@ import sys
 from collections.abc import Callable
 from contextlib import ExitStack
 from datetime import datetime
+from itertools import chain
 from pathlib import Path
 
 from controller.cell import Cell
@@ -43,6 +44,8 @@ from perception.scan import Cloud
 log = logging.getLogger(__name__)
 
 REPORT_NICE = "15"
+HEARD_FRAMES = 3
+"""Of each identifier; more than one, for the first of a counter is not believed."""
 
 
 class _Unseen:
@@ -70,6 +73,7 @@ class Recordings:
         self._cell: Cell | None = None
         self._model: PreparedModel | None = None
         self._memory = Path()
+        self._heard: dict[int, tuple[CanFrame, ...]] = {}
         self._drawing: subprocess.Popen[bytes] | None = None
         self._begin_s = 0.0
         self.on_transition: Callable[[str, str, str], None] = lambda source, event, target: None
@@ -94,8 +98,11 @@ class Recordings:
         except (PortdockError, OSError) as error:
             log.error("this mission is not recorded: %s", error)
             return
-        attach_context(recorder, self._config, self._model, {"goal": goal.value})
+        facts = {"goal": goal.value, "pace": f"{self._cell.time_scale:g}"}
+        attach_context(recorder, self._config, self._model, facts)
         attach_insertion(recorder, self._memory)
+        for frame in sorted(chain.from_iterable(self._heard.copy().values()), key=lambda frame: frame.time_s):
+            recorder.can_frame(frame)
         self._closing.enter_context(log_into(recorder))
         self._watcher = MissionWatcher(recorder, _Unseen())
         self._recorder = recorder
@@ -191,6 +198,9 @@ class Recordings:
             recorder.coarse_bytes(direction, data, host_time_ns)
 
     def can_frame(self, frame: CanFrame) -> None:
+        """A recording begins with what the bus said last before it: a replay has to know what the mission knew."""
+        if frame.direction == "rx" and not frame.is_error:
+            self._heard[frame.arbitration_id] = (*self._heard.get(frame.arbitration_id, ())[1 - HEARD_FRAMES :], frame)
         if (recorder := self._recorder) is not None:
             recorder.can_frame(frame)
 

@@ -16,7 +16,7 @@ from controller.task import Goal
 
 _ASKED_BEFORE_S = 0.001
 HEARD_BEFORE_S = 0.5
-"""A daemon's recording begins with the job, its links were up long before: so much of the bus is heard at once."""
+"""An older recording of a daemon lacks what the bus had said before the job: so much of it is heard at once."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,15 +44,12 @@ class Story:
     """Host's time of the first transition."""
     asked: tuple[Asked, ...]
     model_checksum: str
+    heard_s: float
+    """Bus traffic up to here was known when the mission began."""
     end_s: float
     """Host's time of the last arm sample."""
     complete: bool
     """Whether the recording has an end."""
-
-    @property
-    def heard_s(self) -> float:
-        """Bus traffic up to here was known when the mission began."""
-        return self.start_s if self.state is State.OFFLINE else self.start_s + HEARD_BEFORE_S
 
 
 def story_of(recording: Recording) -> Story:
@@ -78,6 +75,7 @@ def story_of(recording: Recording) -> Story:
         start_s=first.time_s,
         asked=_asked(recording),
         model_checksum=facts.get("model", ""),
+        heard_s=_heard_s(recording, state, first.time_s),
         end_s=_end_s(recording),
         complete=recording.summary() is not None,
     )
@@ -93,6 +91,11 @@ def _config(recording: Recording) -> SiteConfig:
     except (yaml.YAMLError, UnicodeDecodeError, ConfigError) as error:
         cause = error.cause if isinstance(error, ConfigError) else "it is no YAML"
         raise RecordingFileError(f"the configuration in {recording.path} cannot be used: {cause}") from error
+
+
+def _heard_s(recording: Recording, state: State, start_s: float) -> float:
+    before = state is State.OFFLINE or any(f.direction == "rx" and f.time_s < start_s for f in recording.can_frames())
+    return start_s if before else start_s + HEARD_BEFORE_S
 
 
 def _end_s(recording: Recording) -> float:

@@ -16,7 +16,7 @@ from controller.recording.values import Transition
 from controller.replay.evidence import DECISION, STATE, WAIT
 from controller.replay.story import Story
 from controller.sources import Sources
-from controller.states import STOPS, Event
+from controller.states import STOPS, Event, State
 from controller.supervisor import TICK_S, StopRequested, Supervisor
 from drivers.base import Clock
 from drivers.playback import ARM, EndOfRecording, Playback
@@ -45,6 +45,8 @@ class ReplaySupervisor(Supervisor):
         """The recording's next transition, if the mission only makes safe before it enters FAULT."""
         self._asked = list(story.asked)
         self._end_s = math.inf if story.complete else story.end_s
+        self._at_rest = story.state in (State.READY, State.CHARGING)
+        """Where a daemon waits for what its recording then begins with: that wait is not in it."""
 
     def start(self) -> None:
         """No thread: time passes in ``wait``."""
@@ -54,6 +56,9 @@ class ReplaySupervisor(Supervisor):
 
     def wait(self, until: Callable[[], bool], timeout_s: float | None = None) -> bool:
         """As in the mission, in recorded time. Raises EndOfRecording when the recording has no more to say."""
+        if self._at_rest and until():
+            self._at_rest = False
+            return True
         end_s = None if timeout_s is None else self._clock.now_s() + timeout_s
         recorded_s = self._playback.next_cue_s(WAIT)
         deed_s, broken_off_s = self._next_deed_s(), -math.inf

@@ -12,6 +12,7 @@ import pytest
 from controller.port_files import load_port
 from controller.port_models import port_model
 from perception.cloud_io import read_cloud
+from perception.crop import crop
 from perception.estimate import PortEstimate, Prior
 from perception.evaluation.scenes import SimulatedScan, simulate_scan
 from perception.geometry import Pose
@@ -135,3 +136,16 @@ def test_shared_scans_are_located(name: str) -> None:
     assert estimate.accepted, estimate.reasons
     assert millimetres < 0.3
     assert degrees < 0.3
+
+
+def test_a_scan_of_a_sweep_that_went_slowly_is_thinned_evenly_and_located_as_well(
+    type2: PortModel, recording: tuple[Cloud, Prior, Pose], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    cloud, prior, truth = recording
+    whole = crop(cloud, type2, prior)
+    monkeypatch.setattr("perception.crop.MOST_POINTS", len(whole.points) // 2)
+    half = crop(cloud, type2, prior)
+    assert len(whole.points) // 3 - 1 <= len(half.points) <= len(whole.points) // 2 + 1
+    assert np.ptp(half.points, axis=0) == pytest.approx(np.ptp(whole.points, axis=0), rel=0.02)
+    millimetres, degrees = error_mm_deg(locate(cloud, type2, prior), truth)
+    assert millimetres < 0.5 and degrees < 0.5

@@ -74,3 +74,11 @@ def test_without_points_around_it_a_bore_says_nothing(gbt_ac: PortModel) -> None
     rim_only = np.column_stack([np.linspace(-0.03, 0.03, 300), np.full(300, -0.031), np.zeros(300)])
     found = judge(Pose.identity(), scene(rim_only), gbt_ac, 1e-4)
     assert found.features_seen == 0
+
+
+def test_half_of_the_contacts_that_no_depth_hides_must_be_seen_two_at_most(gbt_ac: PortModel) -> None:
+    chademo = PortModel.from_mesh("chademo", *build_mesh(load_port("chademo").shape))
+    rim = np.column_stack([np.linspace(-0.03, 0.03, 300), np.full(300, -0.031), np.zeros(300)])
+    needed = {m.name: judge(Pose.identity(), scene(rim), m, 1e-4).features_needed for m in (chademo, gbt_ac)}
+    assert needed == {"chademo": 1, "gbt_ac": 2}
+    assert chademo.front.shallow_features == 2

@@ -21,7 +21,7 @@ from tests.unit.mission_rig import StandInArm, StandInCharger, StandInScanner
 def supervisor(waits_s: list[float], asked: tuple[Asked, ...] = ()) -> tuple[ReplaySupervisor, Playback]:
     config, playback = load_config(), Playback(0.0)
     playback.cue(WAIT, waits_s)
-    story = Story(config, 1.0, Goal.CYCLE, State.OFFLINE, Event.STARTED, b"", 0.0, asked, "", 100.0, True)
+    story = Story(config, 1.0, Goal.CYCLE, State.OFFLINE, Event.STARTED, b"", 0.0, asked, "", 0.0, 100.0, True)
     arm = StandInArm(config.port.T_base_port.pose)
     sources = Sources(arm, StandInCharger(arm), StandInScanner())
     return ReplaySupervisor(sources, playback, playback, 0.5, story), playback
