@@ -24,7 +24,7 @@ from controller.planning import Viewpoint
 from controller.recording.recorder import Recorder
 from controller.states import State
 from controller.sweep import SweepError, clock_facts
-from controller.sweeping import CLOCK_HISTORY_S, ProgressReport, run_sweep
+from controller.sweeping import HISTORY_S, ProgressReport, run_sweep
 from drivers.base import ArmState, LinkHealth, MonotonicClock, Proximity, RobotMode
 from perception.errors import PortdockError
 from perception.scan import Cloud, Scan
@@ -72,7 +72,7 @@ def record_scan(
                     recorder.link(name, link)
             cloud = scan.to_cloud()
             recorder.scan(cloud)
-            states = cell.arm.history(began_s - CLOCK_HISTORY_S)
+            states = cell.arm.history(began_s - HISTORY_S["timestamp"])
             recorder.metadata("clocks", dict(clock_facts(scan.profiles, states, pace)))
             health = cell.scanner.health()
     finally:

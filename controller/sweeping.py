@@ -34,10 +34,10 @@ SILENT_LINK_S = 3.0
 """Of wall time: a lost link is told by then, and is the cause where the scanner waits for what is lost."""
 TRAILING_S = 30.0
 """How long profiles measured before the end of the motion may be on their way (a slow line, a busy host)."""
-CLOCK_HISTORY_S = 60.0
-"""Arm samples from before the sweep help to fit the arm's clock: the more, the more prompt ones are among them."""
-SHARED_CLOCK_HISTORY_S = 1.0
-"""With one clock for both nothing is fitted: what surely lies before the first profile is enough."""
+HISTORY_S = {"timestamp": 60.0, "shared_clock": 1.0, "trigger": 0.1}
+"""Arm samples from before the sweep: they help to fit the arm's clock, the more, the more prompt ones are among them.
+With one clock for both what surely lies before the first profile is enough. Edges of the sweep before are no edges of
+this one."""
 REST_S = 0.02
 """After it stands by its own word the arm still swings a little: no profile from within this time counts."""
 STILL_M_S = 0.0005
@@ -169,8 +169,7 @@ def _take_moving(
 ) -> tuple[list[Profile], list[ArmState]]:
     """The profiles and the arm's samples around them; ``meanwhile`` is called at every look. Raises MissionFault."""
     collector, began_s = Collector(cell, passes, report, meanwhile), cell.wall.now_s()
-    before_s = SHARED_CLOCK_HISTORY_S if config.scanner.sync == "shared_clock" else CLOCK_HISTORY_S
-    states: list[ArmState] = cell.arm.history(began_s - before_s)
+    states: list[ArmState] = cell.arm.history(began_s - HISTORY_S[config.scanner.sync])
 
     def remember() -> None:
         states.extend(cell.arm.history(states[-1].time_s if states else began_s))

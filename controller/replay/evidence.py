@@ -10,6 +10,7 @@ from collections.abc import Callable
 
 from controller.faults import Outcome
 from controller.insertion import Insertion
+from controller.recording.compare import EDGE, deliberate
 from controller.recording.reader import Recording
 from controller.recording.values import Decision, Located, Scanned, Transition
 from controller.states import State
@@ -29,7 +30,7 @@ class ReplayEvidence:
 
     def __init__(self, recording: Recording, playback: Playback) -> None:
         self._playback = playback
-        self._expected_decisions = recording.decisions()
+        self._expected_decisions = deliberate(recording.decisions())
         self._expected_steps = recording.transitions()
         playback.cue(DECISION, [decision.time_s for decision in self._expected_decisions])
         playback.cue(STATE, [step.time_s for step in self._expected_steps])
@@ -77,6 +78,8 @@ class ReplayEvidence:
     # --- CommandLog and Watcher ---------------------------------------------------------------------------------------
 
     def command(self, name: str, detail: str, allowed: bool, reason: str) -> None:
+        if name == EDGE:
+            return
         decision = Decision(self._playback.now_s(), name, detail, allowed, reason)
         self._decisions.append(decision)
         number = len(self._decisions) - 1
