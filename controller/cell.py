@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass
@@ -85,6 +86,8 @@ class Cell:
     """Least delay from a profile's device time stamp to its last byte, in the device's seconds."""
     time_scale: float = 1.0
     """Device seconds per wall second: not 1 only where mocks run fast."""
+    recorded_since_s: float = -math.inf
+    """What the arm said before is not in the mission's recording, and decides nothing in it."""
     T_base_port: Pose | None = None
     """The port pose that the gate holds motions against once there is a plan."""
     car: Car | None = None

@@ -85,9 +85,12 @@ class Mission:
 
     def go_on(self, state: State, goal: Goal, first: Event) -> Outcome:
         """One job from a state of rest to its outcome: a replay of a daemon's recording, with its first transition."""
-        self.state = state
-        self.task.desk = SingleJob(None if first in (Event.STOP, Event.CHARGE_COMPLETE) else goal)
+        self.state, asked = state, first not in (Event.STOP, Event.CHARGE_COMPLETE)
+        self.task.desk = SingleJob(goal if asked else None)
         self.task.cell.enter(state, None)
+        if first is Event.CHARGE_COMPLETE:  # what ended the charge came before the recording
+            self._begin(goal)
+            self._pass(first)
         while self.now.outcome is None:
             self._step()
         return self.now.outcome
@@ -286,8 +289,7 @@ class Mission:
         except PortdockError as error:
             self._answer(Outcome.of(Fault(FaultCode.RESET_REFUSED, f"{error.cause}. {error.remedy}")))
             return None
-        self.fault = None
-        task.charging_seen = False
+        self.fault, task.charging_seen = None, False
         task.cell.supervisor.reset()
         self._begin(goal)
         return Event.RESET

@@ -197,7 +197,7 @@ def attach_context(recorder: Recorder, config: SiteConfig, model: PreparedModel,
 
 def attach_insertion(recorder: Recorder, memory: Path) -> None:
     """The insertion that a daemon's job begins with, where one is stored: undocking goes back along its axis."""
-    with suppress(FileNotFoundError):
+    with suppress(OSError):
         recorder.attach(INSERTION_NAME, (memory / INSERTION_NAME).read_bytes(), "application/json")
 
 

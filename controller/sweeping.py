@@ -34,7 +34,7 @@ SILENT_LINK_S = 3.0
 """Of wall time: a lost link is told by then, and is the cause where the scanner waits for what is lost."""
 TRAILING_S = 30.0
 """How long profiles measured before the end of the motion may be on their way (a slow line, a busy host)."""
-HISTORY_S = {"timestamp": 60.0, "shared_clock": 1.0, "trigger": 0.1}
+HISTORY_S = {"timestamp": 60.0, "shared_clock": 1.0, "trigger": 0.02}
 """Arm samples from before the sweep: they help to fit the arm's clock, the more, the more prompt ones are among them.
 With one clock for both what surely lies before the first profile is enough. Edges of the sweep before are no edges of
 this one."""
@@ -169,7 +169,8 @@ def _take_moving(
 ) -> tuple[list[Profile], list[ArmState]]:
     """The profiles and the arm's samples around them; ``meanwhile`` is called at every look. Raises MissionFault."""
     collector, began_s = Collector(cell, passes, report, meanwhile), cell.wall.now_s()
-    states: list[ArmState] = cell.arm.history(began_s - HISTORY_S[config.scanner.sync])
+    since_s = max(began_s - HISTORY_S[config.scanner.sync], cell.recorded_since_s)
+    states: list[ArmState] = cell.arm.history(since_s)
 
     def remember() -> None:
         states.extend(cell.arm.history(states[-1].time_s if states else began_s))

@@ -41,7 +41,8 @@ def covariance(refined: Refined) -> Array:
 
 def _unseen(refined: Refined) -> Array:
     """(6, 6) what no residual shows."""
-    x, y = refined.sweep[:2] / max(float(np.hypot(*refined.sweep[:2])), 1e-9)
+    aslant = float(np.hypot(*refined.sweep[:2]))
+    x, y = refined.sweep[:2] / aslant if aslant > 0.1 else (0.0, 1.0)
     turned = np.array([[x, -y], [y, x]])  # columns: along the sweep, along the laser's line
     across = np.array([SWEEP_M + SWEEP_SIGMAS * refined.scale_m, LINE_SIGMAS * refined.scale_m])
     tilt = np.array([0.0, TILT_SIGMAS * refined.scale_m / LEVER_M])  # about each of the two

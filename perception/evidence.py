@@ -26,7 +26,6 @@ _BORE_LEAST = 6.0
 """Points that a filled bore would show, from which on its emptiness says something."""
 _BORE_EMPTY, _BORE_FILLED = 0.25, 0.5
 """Shares of those points that an empty bore may show, and that a filled one must."""
-MOST_NEEDED = 2
 MAX_DENIED = 0.25
 """Of the features that are seen or denied, so many may be denied."""
 _DENIED_LEAST, _DENIED_SHARE = 4, 0.05
@@ -60,8 +59,9 @@ class Evidence:
     roll_against: int
     roll_rival_rad: float
     """By how much the strongest rival is rolled."""
-    features_needed: int = MOST_NEEDED
-    """So many features must be seen."""
+    reachable: int = 0
+    """Features that no depth hides from a laser, bores among them."""
+    reachable_seen: int = 0
     contacts: int = 0
     """Of the features, the tips within the inlet that stand free of what is around them."""
     contacts_seen: int = 0
@@ -76,7 +76,7 @@ class Evidence:
 
     @property
     def doubtful(self) -> bool:
-        """Whether the pose looks like one that stopped on its way: contacts are denied, or another roll is as good."""
+        """Whether the pose looks like one that stopped on its way: features are denied, or another roll is as good."""
         denied = self.features_denied > MAX_DENIED * (self.features_seen + self.features_denied)
         return denied or self.roll_against >= max(self.roll_for, 1)
 
@@ -116,7 +116,7 @@ def judge(pose: Pose, scene: Scene, model: PortModel, noise_m: float) -> Evidenc
     good, behind, before = _votes(counts)
     seen, denied = _features(front, i, j, misfit, tolerance)
     empty, filled = _bores(front, i, j, misfit, tolerance)
-    contacts = model.contacts - 1
+    contacts, reachable = model.contacts - 1, front.reachable
     votes = votes_of(local, misfit, cell, tolerance)
     rival, roll_for, roll_against = rival_roll(votes, front)
     outline = np.isfinite(front.lowest).sum() * CELL_M**2
@@ -133,7 +133,8 @@ def judge(pose: Pose, scene: Scene, model: PortModel, noise_m: float) -> Evidenc
         roll_for,
         roll_against,
         rival,
-        min(MOST_NEEDED, (front.shallow_features + front.bores + 1) // 2),
+        int(reachable.sum()) + front.bores,
+        int(seen[reachable].sum()) + empty,
         len(contacts),
         int(seen[contacts].sum()),
         int(denied[contacts].sum()),
@@ -173,7 +174,7 @@ def _features(
     size = np.bincount(np.maximum(front.feature, 0).ravel(), minlength=front.features + 1)[1:]
     filled_shows = size * len(i) / max(len(np.unique(i * front.feature.shape[1] + j)), 1)
     enough = against >= np.maximum(_DENIED_LEAST, _DENIED_SHARE * filled_shows)
-    return (agree >= 2) & (agree >= against), enough & (against > 2 * agree)
+    return (agree >= 2) & (agree > 2 * against), enough & (against > 2 * agree)
 
 
 def _bores(

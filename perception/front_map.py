@@ -58,10 +58,10 @@ class FrontMap:
         return max(int(self.feature.max()), 0)
 
     @property
-    def shallow_features(self) -> int:
-        """Those of them that no depth hides from a laser."""
+    def reachable(self) -> NDArray[np.bool_]:
+        """Which of them (F,) no depth hides from a laser."""
         heights = maximum(np.nan_to_num(self.highest, nan=-np.inf), self.feature, range(1, self.features + 1))
-        return int(np.sum(np.asarray(heights) > -FLOOR_M))
+        return np.asarray(np.asarray(heights) > -FLOOR_M)
 
     @property
     def bores(self) -> int:

@@ -15,6 +15,7 @@ from perception.port_model import AcceptanceLimits
 MIN_COVERAGE = 0.15
 MAX_VIOLATION = 0.25
 MIN_MARGIN = 0.10
+MIN_FEATURES = 2
 MIN_INNER = 0.06
 MIN_BLOCKED = 0.4
 MIN_ROLL_VOTES = 6
@@ -108,6 +109,13 @@ def _uncertain(findings: Findings, limits: AcceptanceLimits) -> list[str]:
     return found
 
 
+def _too_few_seen(e: Evidence) -> bool:
+    """Half of the features that no depth hides must be seen, two at most; of others alone one."""
+    if not e.reachable:
+        return e.features > 0 and not e.features_seen
+    return e.reachable_seen < min(MIN_FEATURES, (e.reachable + 1) // 2)
+
+
 def _unsupported(findings: Findings) -> list[str]:
     e = findings.evidence
     found = []
@@ -116,7 +124,7 @@ def _unsupported(findings: Findings) -> list[str]:
     if e.violation > MAX_VIOLATION:
         where = "behind the port's surface" if e.behind > e.before else "where the port leaves space free"
         found.append(f"{e.violation:.0%} of the distinctive evidence contradicts the port: points {where}")
-    if e.features_seen < e.features_needed:
+    if _too_few_seen(e):
         found.append(f"only {e.features_seen} of {e.features} contacts and wells are seen where they should be")
     if e.features_denied > MAX_DENIED * (e.features_seen + e.features_denied):
         found.append(f"{e.features_denied} contacts or wells are contradicted, {e.features_seen} are seen")

@@ -1,7 +1,8 @@
 """The default locator: a scan and a port model in, a judged pose out, as a sequence of named steps.
 
-crop -> axis hypotheses -> exhaustive search -> alignment of the best candidates -> choice -> refinement -> covariance
--> evidence -> gate; a refusal looks at what is there instead. Each step has its module.
+crop -> axis hypotheses -> exhaustive search -> alignment of the best candidates -> choice -> refinement and evidence,
+again while the one doubts the other -> covariance -> gate; a refusal looks at what is there instead. Each step has its
+module.
 """
 
 from __future__ import annotations
@@ -176,7 +177,7 @@ def _refine_and_judge(
     refined = refine(start, scene, model, threads=settings.threads)
     evidence = judge(refined.T_prior_port, scene, model, refined.scale_m)
     for _ in range(settings.second_looks):
-        pose, rival = refined.T_prior_port, evidence.roll_against >= evidence.roll_for
+        pose, rival = refined.T_prior_port, evidence.roll_against >= max(evidence.roll_for, 1)
         if not evidence.doubtful and refined.roll_dispute_rad <= MAX_ROLL_DISPUTE_RAD:
             break
         roll = Pose.from_rotvec([0.0, 0.0, evidence.roll_rival_rad if rival else 0.0])

@@ -23,10 +23,11 @@ from perception.port_model import PortModel
 from perception.sideways import settle_sideways
 
 ROUNDS = 10
-FULL_ROUNDS = 4
+LAST_ROUNDS = 4
+"""With nuisances."""
 _SUBSET = 4000
 _MANY = 20_000
-"""More points than these move the pose by less than the last round moves it back: that one takes them all."""
+"""Enough, or up to twice as many, before the last round, which takes every point."""
 _MIN_SCALE_M = 0.00003
 _TUKEY = 4.0
 """Points further off than this many robust standard deviations have no weight."""
@@ -105,7 +106,7 @@ def refine(start: Pose, scene: Scene, model: PortModel, *, threads: int = 2) -> 
     some = everything.every(max(1, len(everything.points) // _SUBSET))
     fit = _Fit(scene, model, threads)
     pose, scale = settle_sideways(start, everything, model, _FIRST_SCALE_M), 0.0005
-    for round_ in range(ROUNDS - FULL_ROUNDS):
+    for round_ in range(ROUNDS - LAST_ROUNDS):
         matches = match(pose, some, model, threads)
         scale = _robust_scale(matches.distance, previous=scale)
         try:
@@ -140,14 +141,17 @@ class _Fit:
     threads: int
 
     def last_rounds(self, pose: Pose, measured: Measured, scale: float) -> Refined:
-        """All of them; the last one with every point. Raises DegenerateCloudError when that leaves a pose open."""
+        """All of them; the last one with every point. Raises DegenerateCloudError where they leave the pose open."""
+        last = range(ROUNDS - LAST_ROUNDS, ROUNDS)
         many = measured.every(max(1, len(measured.points) // _MANY))
         try:
-            near = self.rounds(pose, many, scale, range(ROUNDS - FULL_ROUNDS, ROUNDS - 1))
-            pose, scale = near.T_prior_port, near.scale_m
+            near = self.rounds(pose, many, scale, last[:-1])
         except DegenerateCloudError:
-            pass  # so few points may leave the pose open where all of them do not
-        return self.rounds(pose, measured, scale, range(ROUNDS - 1, ROUNDS))
+            return self.rounds(pose, measured, scale, last)  # some may leave open what all of them do not
+        try:
+            return self.rounds(near.T_prior_port, measured, near.scale_m, last[-1:])
+        except DegenerateCloudError:
+            return near
 
     def rounds(self, pose: Pose, measured: Measured, scale: float, which: range) -> Refined:
         """Moves ``pose`` by one step for each of the rounds ``which``. Raises DegenerateCloudError in the first.

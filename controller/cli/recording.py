@@ -91,13 +91,14 @@ def compare(
 def _facts(recording: Recording) -> dict[str, object]:
     summary, transitions = recording.summary(), recording.transitions()
     times = [message.time_s for messages in recording.topics.values() for message in messages]
+    begin_s = transitions[0].time_s if transitions else min(times, default=0.0)
     return {
         "file": str(recording.path),
         "complete": recording.complete,
         "damage": list(recording.damage),
         "outcome": None if summary is None else summary.outcome,
         "fault": None if summary is None else summary.fault,
-        "duration_s": round(max(times) - min(times), 3) if times else 0.0,
+        "duration_s": round(max(times) - begin_s, 3) if times else 0.0,
         "states": [step.to_state for step in transitions],
         "topics": {name: len(messages) for name, messages in sorted(recording.topics.items())},
         "attachments": {a.name: len(a.data) for a in recording.attachments.values()},

@@ -1,6 +1,7 @@
 """One recording a mission, for a daemon whose links stay open: what they carry goes to the recorder of the moment.
 
-Between two missions the links' traffic goes nowhere. Reports are drawn by a process of their own at a low priority.
+Between two missions nothing is recorded; what the bus said last is kept for the next one. Reports are drawn by a
+process of their own at a low priority.
 """
 
 from __future__ import annotations
@@ -8,6 +9,7 @@ from __future__ import annotations
 import logging
 import subprocess
 import sys
+import threading
 from collections.abc import Callable
 from contextlib import ExitStack
 from datetime import datetime
@@ -73,6 +75,7 @@ class Recordings:
         self._cell: Cell | None = None
         self._model: PreparedModel | None = None
         self._memory = Path()
+        self._bus = threading.Lock()
         self._heard: dict[int, tuple[CanFrame, ...]] = {}
         self._drawing: subprocess.Popen[bytes] | None = None
         self._begin_s = 0.0
@@ -101,11 +104,13 @@ class Recordings:
         facts = {"goal": goal.value, "pace": f"{self._cell.time_scale:g}"}
         attach_context(recorder, self._config, self._model, facts)
         attach_insertion(recorder, self._memory)
-        for frame in sorted(chain.from_iterable(self._heard.copy().values()), key=lambda frame: frame.time_s):
-            recorder.can_frame(frame)
         self._closing.enter_context(log_into(recorder))
         self._watcher = MissionWatcher(recorder, _Unseen())
-        self._recorder = recorder
+        with self._bus:  # no frame is lost in between, none is there twice
+            for frame in sorted(chain.from_iterable(self._heard.values()), key=lambda frame: frame.time_s):
+                recorder.can_frame(frame)
+            self._recorder = recorder
+        self._cell.recorded_since_s = self._cell.wall.now_s()
 
     def ended(self, outcome: Outcome, job: Progress) -> None:
         """The recording is complete with the mission's summary."""
@@ -199,10 +204,12 @@ class Recordings:
 
     def can_frame(self, frame: CanFrame) -> None:
         """A recording begins with what the bus said last before it: a replay has to know what the mission knew."""
-        if frame.direction == "rx" and not frame.is_error:
-            self._heard[frame.arbitration_id] = (*self._heard.get(frame.arbitration_id, ())[1 - HEARD_FRAMES :], frame)
-        if (recorder := self._recorder) is not None:
-            recorder.can_frame(frame)
+        with self._bus:
+            if frame.direction == "rx" and not frame.is_error:
+                before = self._heard.get(frame.arbitration_id, ())
+                self._heard[frame.arbitration_id] = (*before[1 - HEARD_FRAMES :], frame)
+            if (recorder := self._recorder) is not None:
+                recorder.can_frame(frame)
 
     def arm_state(self, state: ArmState) -> None:
         if (recorder := self._recorder) is not None:

@@ -118,6 +118,8 @@ def arm_columns(recording: Recording) -> tuple[str, Array]:
     names: list[str] = []
     columns: list[Array] = []
     for field in ARM_STATE.fields:
+        if field.name not in (table.dtype.names or ()):
+            continue  # older recordings lack the last ones
         values = table[field.name].astype(np.float64).reshape(len(table), -1)
         names += [field.name] if values.shape[1] == 1 else [f"{field.name}_{k}" for k in range(values.shape[1])]
         columns.append(values)

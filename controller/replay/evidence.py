@@ -78,7 +78,7 @@ class ReplayEvidence:
     # --- CommandLog and Watcher ---------------------------------------------------------------------------------------
 
     def command(self, name: str, detail: str, allowed: bool, reason: str) -> None:
-        if name == EDGE:
+        if name == EDGE and allowed:
             return
         decision = Decision(self._playback.now_s(), name, detail, allowed, reason)
         self._decisions.append(decision)

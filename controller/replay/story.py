@@ -75,7 +75,7 @@ def story_of(recording: Recording) -> Story:
         start_s=first.time_s,
         asked=_asked(recording),
         model_checksum=facts.get("model", ""),
-        heard_s=_heard_s(recording, state, first.time_s),
+        heard_s=first.time_s + (0.0 if state is State.OFFLINE or "pace" in facts else HEARD_BEFORE_S),
         end_s=_end_s(recording),
         complete=recording.summary() is not None,
     )
@@ -91,11 +91,6 @@ def _config(recording: Recording) -> SiteConfig:
     except (yaml.YAMLError, UnicodeDecodeError, ConfigError) as error:
         cause = error.cause if isinstance(error, ConfigError) else "it is no YAML"
         raise RecordingFileError(f"the configuration in {recording.path} cannot be used: {cause}") from error
-
-
-def _heard_s(recording: Recording, state: State, start_s: float) -> float:
-    before = state is State.OFFLINE or any(f.direction == "rx" and f.time_s < start_s for f in recording.can_frames())
-    return start_s if before else start_s + HEARD_BEFORE_S
 
 
 def _end_s(recording: Recording) -> float:

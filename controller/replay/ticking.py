@@ -56,8 +56,8 @@ class ReplaySupervisor(Supervisor):
 
     def wait(self, until: Callable[[], bool], timeout_s: float | None = None) -> bool:
         """As in the mission, in recorded time. Raises EndOfRecording when the recording has no more to say."""
-        if self._at_rest and until():
-            self._at_rest = False
+        at_rest, self._at_rest = self._at_rest, False
+        if at_rest and until():
             return True
         end_s = None if timeout_s is None else self._clock.now_s() + timeout_s
         recorded_s = self._playback.next_cue_s(WAIT)

@@ -8,6 +8,7 @@ from datetime import UTC, datetime
 
 import yaml
 
+from controller.recording import schemas
 from controller.recording.reader import Recording
 from controller.recording.values import Contacted, Decision, LinkReport, Located
 from controller.reports.facts import Alignment, StateSpan, place_of, sigma, start_time_s
@@ -171,7 +172,8 @@ def page_of(recording: Recording, spans: tuple[StateSpan, ...], view: Alignment 
 
 
 def _when(recording: Recording) -> str:
-    times = [messages[0].log_time_ns for messages in recording.topics.values() if messages]
+    first = recording.raw(schemas.STATE)[:1] or [messages[0] for messages in recording.topics.values() if messages]
+    times = [message.log_time_ns for message in first]
     if not times:
         return "time unknown"
     return datetime.fromtimestamp(min(times) * 1e-9, tz=UTC).strftime("%Y-%m-%d %H:%M:%S UTC")

@@ -215,7 +215,7 @@ def _disturbed(
     # A spot on an edge belongs to the ray before it as often as to the one after.
     chance, share = rng.random(clean.shape), rng.random(clean.shape)
     before = edge & (chance < 0.5 * sensor.mixed_pixels)
-    after = np.roll(edge & ~before & (chance < sensor.mixed_pixels), 1, axis=1)
+    after = np.roll(edge & ~before & (chance < sensor.mixed_pixels), 1, axis=1) & ~before
     mixed = before | after
     between = np.where(before, share * step, 0.0) - np.where(after, np.roll(share * step, 1, axis=1), 0.0)
     distance = clean + between + noise

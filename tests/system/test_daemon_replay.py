@@ -42,4 +42,5 @@ def test_every_job_of_a_daemon_replays(tmp_path: Path, sync: str) -> None:
     assert len(recordings) == len(JOBS)
     for path in recordings:
         again = replay(read_recording(path), recorded_estimates=True)
-        assert again.difference is None, f"{path.parent.name}: {again.difference} {again.ended}"
+        assert again.difference is None and again.complete, f"{path.parent.name}: {again.difference} {again.ended}"
+        assert again.states[-1] in ("CHARGING", "READY")

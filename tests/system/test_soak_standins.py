@@ -33,7 +33,7 @@ def test_hundreds_of_missions_leave_memory_files_and_threads_as_they_were(tmp_pa
     config = config.model_copy(update={"recording": small})
     rig, rng = Rig(tmp_path, port=config.port.T_base_port.pose), np.random.default_rng(5)
     records = Recordings(config, lambda event: None, lambda *_: None, reports=False)
-    records.attach(rig.cell, PreparedModel("none", np.zeros((1, 3))))
+    records.attach(rig.cell, PreparedModel("none", np.zeros((1, 3))), tmp_path)
     rig.cell.records = records
     mission: Any = rig.mission
     mission.task.watcher = records

@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from controller.port_files import load_port
 from perception.crop import Scene
-from perception.evidence import judge
+from perception.estimate import Prior
+from perception.evidence import Evidence, judge
 from perception.front_map import CELL_M
+from perception.gate import Findings, reasons_against
 from perception.geometry import Array, Pose
-from perception.port_model import PortModel
+from perception.port_model import AcceptanceLimits, PortModel
 from perception.port_solid import build_mesh
 
+PRIOR = Prior(Pose.identity())
 FACE_Z_M = -0.003
 """The face that GB/T AC's bores open in."""
 
@@ -76,9 +81,16 @@ def test_without_points_around_it_a_bore_says_nothing(gbt_ac: PortModel) -> None
     assert found.features_seen == 0
 
 
-def test_half_of_the_contacts_that_no_depth_hides_must_be_seen_two_at_most(gbt_ac: PortModel) -> None:
+def test_half_of_the_features_that_no_depth_hides_must_be_seen_two_at_most(gbt_ac: PortModel) -> None:
     chademo = PortModel.from_mesh("chademo", *build_mesh(load_port("chademo").shape))
-    rim = np.column_stack([np.linspace(-0.03, 0.03, 300), np.full(300, -0.031), np.zeros(300)])
-    needed = {m.name: judge(Pose.identity(), scene(rim), m, 1e-4).features_needed for m in (chademo, gbt_ac)}
-    assert needed == {"chademo": 1, "gbt_ac": 2}
-    assert chademo.front.shallow_features == 2
+    assert (int(chademo.front.reachable.sum()), chademo.front.features) == (2, 6)
+    good = Evidence(1000.0, 0.0, 0.0, 0.8, 6, 6, 0, 0.6, 0.0, 100, 0, 1.0)
+
+    def refused(reachable: int, seen: int) -> bool:
+        evidence = replace(good, reachable=reachable, reachable_seen=seen)
+        findings = Findings(Pose.identity(), np.diag([1e-10] * 6), 1e-4, evidence, 0.5)
+        return any("contacts and wells are seen" in r for r in reasons_against(findings, PRIOR, AcceptanceLimits()))
+
+    assert [refused(2, k) for k in range(3)] == [True, False, False]
+    assert [refused(7, k) for k in range(4)] == [True, True, False, False]
+    assert [refused(1, k) for k in range(2)] == [True, False]

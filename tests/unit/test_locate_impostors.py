@@ -34,19 +34,19 @@ def trilobe() -> PortModel:
 @pytest.mark.parametrize(
     ("case", "reason"),
     [
-        (Case("no-contacts", 8, "easy", "trilobe", "trilobe"), "contacts"),
-        (Case("no-contacts", 206, "hard", "trilobe", "trilobe"), "contacts"),
-        (Case("mirrored", 359, "extreme", "trilobe", "trilobe"), "mirror image"),
+        (Case("no-contacts", 8, "easy", "trilobe", "trilobe"), ("contacts is seen", "contacts are not where")),
+        (Case("no-contacts", 206, "hard", "trilobe", "trilobe"), ("contacts is seen", "contacts are not where")),
+        (Case("mirrored", 359, "extreme", "trilobe", "trilobe"), ("mirror image",)),
     ],
     ids=lambda value: value.name if isinstance(value, Case) else "",
 )
 def test_an_impostor_is_refused_and_the_reason_says_what_is_missing(
-    trilobe: PortModel, case: Case, reason: str
+    trilobe: PortModel, case: Case, reason: tuple[str, ...]
 ) -> None:
     scan = make_scan(case, 62, OTHERS)
     found = locate(scan.cloud, trilobe, scan.prior)
     assert not found.accepted
-    assert any(reason in text for text in found.reasons), found.reasons
+    assert any(one in text for text in found.reasons for one in reason), found.reasons
 
 
 def test_contacts_decide_by_themselves_however_many_other_features_are_seen() -> None:

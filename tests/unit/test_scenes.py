@@ -291,3 +291,8 @@ def test_mixed_pixels_lie_on_either_side_of_an_edge_equally_often() -> None:
     assert moved[:, [0, 1, 4, 5]].sum() == 0
     assert np.allclose(moved[:, 2:4].mean(axis=0), 0.2, atol=0.02)
     assert ((distance >= 0.30) & (distance <= 0.30 + step_m)).all()
+    peak = np.repeat([[0.30, 0.30 - step_m, 0.30]], rows, axis=0)  # one ray wide
+    seen, face = np.ones(peak.shape, dtype=bool), np.zeros(peak.shape, dtype=np.int64)
+    sensor = replace(CLEAN, mixed_pixels=1.0)
+    distance, *_ = sensor_module._disturbed(peak, 0.0 * peak, seen, face, sensor, np.random.default_rng(5))
+    assert ((distance >= 0.30 - step_m) & (distance <= 0.30)).all()

@@ -26,7 +26,7 @@ class OneProfile:
         self.arm = SimpleNamespace(history=self.history)
         self.scanner = SimpleNamespace(take=lambda: [Profile(0, NOW_S, None, np.zeros((1, 2)))])
         self.supervisor = SimpleNamespace(wait=lambda until, timeout_s=None: until())
-        self.time_scale, self.profile_latency_s = 1.0, 0.0
+        self.time_scale, self.profile_latency_s, self.recorded_since_s = 1.0, 0.0, -np.inf
 
     def history(self, since_s: float) -> list[object]:
         self.asked_s.append(since_s)
@@ -41,7 +41,7 @@ def with_sync(sync: str) -> SiteConfig:
     return config.model_copy(update={"scanner": config.scanner.model_copy(update={"sync": sync})})
 
 
-@pytest.mark.parametrize(("sync", "least_s", "most_s"), [("timestamp", 30.0, 120.0), ("trigger", 0.02, 0.4)])
+@pytest.mark.parametrize(("sync", "least_s", "most_s"), [("timestamp", 30.0, 120.0), ("trigger", 0.001, 0.4)])
 def test_a_sweep_takes_arm_samples_from_before_it_only_as_they_help(sync: str, least_s: float, most_s: float) -> None:
     cell = OneProfile()
     with pytest.raises(SweepError):
