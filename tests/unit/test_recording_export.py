@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 
 from controller.cli.recording import app
 from controller.recording.errors import RecordingFileError
-from controller.recording.export import ExportFormat, export
+from controller.recording.export import ExportFormat, arm_columns, export
 from controller.recording.reader import Recording, read_recording
 from controller.recording.ring import prune
 from drivers.base import CanFrame
@@ -184,3 +184,11 @@ def test_what_portdock_wrote_beside_a_recording_goes_with_it(tmp_path: Path) -> 
     make_mission(tmp_path, "new", 1.0)
     prune(tmp_path, 0)
     assert not lossy.exists()
+
+
+def test_an_older_recording_whose_arm_samples_lack_outputs_exports_what_it_has() -> None:
+    older = read_recording(Path(__file__).parents[1] / "replay" / "nominal-dry-run.mcap")
+    header, table = arm_columns(older)
+    names = header.split(",")
+    assert names[0] == "time_s" and names[-1] == "speed_scaling"
+    assert table.shape == (len(older.arm_table()), len(names))

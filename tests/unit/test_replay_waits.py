@@ -18,10 +18,12 @@ from drivers.playback import ARM, EndOfRecording, Playback
 from tests.unit.mission_rig import StandInArm, StandInCharger, StandInScanner
 
 
-def supervisor(waits_s: list[float], asked: tuple[Asked, ...] = ()) -> tuple[ReplaySupervisor, Playback]:
+def supervisor(
+    waits_s: list[float], asked: tuple[Asked, ...] = (), state: State = State.OFFLINE
+) -> tuple[ReplaySupervisor, Playback]:
     config, playback = load_config(), Playback(0.0)
     playback.cue(WAIT, waits_s)
-    story = Story(config, 1.0, Goal.CYCLE, State.OFFLINE, Event.STARTED, b"", 0.0, asked, "", 0.0, 100.0, True)
+    story = Story(config, 1.0, Goal.CYCLE, state, Event.STARTED, b"", 0.0, asked, "", 0.0, 100.0, True)
     arm = StandInArm(config.port.T_base_port.pose)
     sources = Sources(arm, StandInCharger(arm), StandInScanner())
     return ReplaySupervisor(sources, playback, playback, 0.5, story), playback
@@ -29,6 +31,22 @@ def supervisor(waits_s: list[float], asked: tuple[Asked, ...] = ()) -> tuple[Rep
 
 def test_a_wait_ends_when_the_recorded_one_did() -> None:
     waiting, playback = supervisor([1.0, 2.0])
+    assert waiting.wait(lambda: playback.now_s() >= 0.3)
+    assert playback.now_s() == 1.0
+    assert waiting.wait(lambda: True)
+    assert playback.now_s() == 2.0
+
+
+def test_the_wait_for_work_is_not_in_the_recording_that_the_work_began() -> None:
+    waiting, playback = supervisor([1.0, 2.0], state=State.READY)
+    assert waiting.wait(lambda: True)
+    assert playback.now_s() == 0.0
+    assert waiting.wait(lambda: True)
+    assert playback.now_s() == 1.0
+
+
+def test_a_rest_that_was_not_over_at_once_is_over_all_the_same() -> None:
+    waiting, playback = supervisor([1.0, 2.0], state=State.CHARGING)
     assert waiting.wait(lambda: playback.now_s() >= 0.3)
     assert playback.now_s() == 1.0
     assert waiting.wait(lambda: True)
