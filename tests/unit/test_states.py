@@ -258,3 +258,8 @@ def test_the_printed_table_has_a_head_and_says_what_latches() -> None:
         "In every state but OFFLINE: abort requested, emergency stop, protective stop, link lost, charger fault, "
         "deadline passed, check failed -> FAULT, latched until an operator's reset."
     )
+
+
+def test_the_plug_may_be_in_the_port_in_five_states_and_the_robot_rests_in_three() -> None:
+    assert {state.name for state in IN_CONTACT} == {"INSERTING", "VERIFYING", "CHARGING", "RELEASING", "RETREATING"}
+    assert {state.name for state in RESTING} == {"OFFLINE", "READY", "FAULT"}
