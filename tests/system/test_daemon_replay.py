@@ -21,7 +21,7 @@ pytestmark = [pytest.mark.long, pytest.mark.timeout(1200)]
 JOBS = (("dock", "charging"), ("undock", "undocked"), ("dock", "charging"), ("stop", "stopped"))
 
 
-@pytest.mark.parametrize("sync", ["shared_clock", "trigger", "stop_and_go"])
+@pytest.mark.parametrize("sync", ["timestamp", "shared_clock", "trigger", "stop_and_go"])
 def test_every_job_of_a_daemon_replays(tmp_path: Path, sync: str) -> None:
     wide = for_mocks(load_config(), fast=True)
     service = {"socket": str(tmp_path / "s"), "state_folder": str(tmp_path / "state"), "http_port": 0}
