@@ -88,7 +88,7 @@ class Mission:
         self.state, asked = state, first not in (Event.STOP, Event.CHARGE_COMPLETE)
         self.task.desk = SingleJob(goal if asked else None)
         self.task.cell.enter(state, None)
-        if first is Event.CHARGE_COMPLETE:  # what ended the charge came before the recording
+        if first is Event.CHARGE_COMPLETE:  # what ended the charge, and how well, came before the recording
             self._begin(goal)
             self._pass(first)
         while self.now.outcome is None:

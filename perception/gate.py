@@ -109,11 +109,11 @@ def _uncertain(findings: Findings, limits: AcceptanceLimits) -> list[str]:
     return found
 
 
-def _too_few_seen(e: Evidence) -> bool:
-    """Half of the features that no depth hides must be seen, two at most; of others alone one."""
-    if not e.reachable:
-        return e.features > 0 and not e.features_seen
-    return e.reachable_seen < min(MIN_FEATURES, (e.reachable + 1) // 2)
+def _features_asked_for(e: Evidence) -> tuple[int, int, int]:
+    """(seen, of how many, needed): half of those that no depth hides, two at most; one where all are deep."""
+    if e.reachable:
+        return e.reachable_seen, e.reachable, min(MIN_FEATURES, (e.reachable + 1) // 2)
+    return e.features_seen, e.features, min(1, e.features)
 
 
 def _unsupported(findings: Findings) -> list[str]:
@@ -124,8 +124,9 @@ def _unsupported(findings: Findings) -> list[str]:
     if e.violation > MAX_VIOLATION:
         where = "behind the port's surface" if e.behind > e.before else "where the port leaves space free"
         found.append(f"{e.violation:.0%} of the distinctive evidence contradicts the port: points {where}")
-    if _too_few_seen(e):
-        found.append(f"only {e.features_seen} of {e.features} contacts and wells are seen where they should be")
+    seen, of, needed = _features_asked_for(e)
+    if seen < needed:
+        found.append(f"only {seen} of {of} contacts and wells are seen where they should be")
     if e.features_denied > MAX_DENIED * (e.features_seen + e.features_denied):
         found.append(f"{e.features_denied} contacts or wells are contradicted, {e.features_seen} are seen")
     if e.contacts > 1 and not e.contacts_seen:

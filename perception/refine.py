@@ -6,6 +6,7 @@ millimetre off sideways sees its few wall points as outliers among the many on f
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -117,8 +118,9 @@ def refine(start: Pose, scene: Scene, model: PortModel, *, threads: int = 2) -> 
     final = fit.last_rounds(pose, everything, scale)
     settled = settle_sideways(final.T_prior_port, everything, model, final.scale_m, first=1)
     if settled.angle_to(final.T_prior_port) > _DISPUTE_RAD:
-        final = fit.last_rounds(settled, everything, final.scale_m)
-        settled = settle_sideways(final.T_prior_port, everything, model, final.scale_m, first=1)
+        with suppress(DegenerateCloudError):  # the dispute then speaks against the pose that there is
+            final = fit.last_rounds(settled, everything, final.scale_m)
+            settled = settle_sideways(final.T_prior_port, everything, model, final.scale_m, first=1)
     pose, scale = final.T_prior_port, final.scale_m
     return replace(
         final,

@@ -83,7 +83,7 @@ def _compare(
 
 
 def deliberate(decisions: Sequence[Decision]) -> list[Decision]:
-    """Without a trigger's edges: how many fit into a wait depends on when it is looked at."""
+    """Without a trigger's edges that were allowed: how many fit into a wait depends on when it is looked at."""
     return [decision for decision in decisions if decision.name != EDGE or not decision.allowed]
 
 

@@ -45,7 +45,7 @@ class ReplaySupervisor(Supervisor):
         """The recording's next transition, if the mission only makes safe before it enters FAULT."""
         self._asked = list(story.asked)
         self._end_s = math.inf if story.complete else story.end_s
-        self._at_rest = story.state in (State.READY, State.CHARGING)
+        self._at_rest = story.state in (State.READY, State.CHARGING) and story.first is not Event.CHARGE_COMPLETE
         """Where a daemon waits for what its recording then begins with: that wait is not in it."""
 
     def start(self) -> None:

@@ -19,11 +19,11 @@ from tests.unit.mission_rig import StandInArm, StandInCharger, StandInScanner
 
 
 def supervisor(
-    waits_s: list[float], asked: tuple[Asked, ...] = (), state: State = State.OFFLINE
+    waits_s: list[float], asked: tuple[Asked, ...] = (), state: State = State.OFFLINE, first: Event = Event.STARTED
 ) -> tuple[ReplaySupervisor, Playback]:
     config, playback = load_config(), Playback(0.0)
     playback.cue(WAIT, waits_s)
-    story = Story(config, 1.0, Goal.CYCLE, state, Event.STARTED, b"", 0.0, asked, "", 0.0, 100.0, True)
+    story = Story(config, 1.0, Goal.CYCLE, state, first, b"", 0.0, asked, "", 0.0, 100.0, True)
     arm = StandInArm(config.port.T_base_port.pose)
     sources = Sources(arm, StandInCharger(arm), StandInScanner())
     return ReplaySupervisor(sources, playback, playback, 0.5, story), playback
@@ -41,6 +41,12 @@ def test_the_wait_for_work_is_not_in_the_recording_that_the_work_began() -> None
     waiting, playback = supervisor([1.0, 2.0], state=State.READY)
     assert waiting.wait(lambda: True)
     assert playback.now_s() == 0.0
+    assert waiting.wait(lambda: True)
+    assert playback.now_s() == 1.0
+
+
+def test_a_charge_that_ended_has_no_wait_at_rest() -> None:
+    waiting, playback = supervisor([1.0, 2.0], state=State.CHARGING, first=Event.CHARGE_COMPLETE)
     assert waiting.wait(lambda: True)
     assert playback.now_s() == 1.0
 
