@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -169,8 +170,7 @@ def _enclosed(rim: NDArray[np.bool_]) -> NDArray[np.bool_]:
 
 
 def _distinct(plain: FrontMap, height: Array) -> Map:
-    i, j = np.nonzero(np.isfinite(height))
-    local = np.column_stack([plain.low + (np.column_stack([i, j]) + 0.5) * CELL_M, height[i, j]])
+    i, j, local = cell_points(plain.low, height)
     share = np.zeros(len(local))
     for roll in _ROLLS_RAD:
         misfit = np.abs(plain.misfit(rolled(local, roll)))
@@ -178,6 +178,12 @@ def _distinct(plain: FrontMap, height: Array) -> Map:
     distinct = np.zeros(height.shape, np.float32)
     distinct[i, j] = share / len(_ROLLS_RAD)
     return distinct
+
+
+def cell_points(low: Array, height: NDArray[Any]) -> tuple[NDArray[np.int64], NDArray[np.int64], Array]:
+    """Cells (N,), (N,) of a map with a height, and the points (N, 3) in their middles; ``low``: the map's corner."""
+    i, j = np.nonzero(np.isfinite(height))
+    return i, j, np.column_stack([low + (np.column_stack([i, j]) + 0.5) * CELL_M, height[i, j]])
 
 
 def rolled(local: Array, roll_rad: float) -> Array:

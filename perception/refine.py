@@ -24,11 +24,8 @@ from perception.port_model import PortModel
 from perception.sideways import settle_sideways
 
 ROUNDS = 10
-LAST_ROUNDS = 4
-"""With nuisances."""
+FULL_ROUNDS = 4
 _SUBSET = 4000
-_MANY = 20_000
-"""Enough, or up to twice as many, before the last round, which takes every point."""
 _MIN_SCALE_M = 0.00003
 _TUKEY = 4.0
 """Points further off than this many robust standard deviations have no weight."""
@@ -74,7 +71,7 @@ class Refined:
     scale_m: float
     """Robust standard deviation of the distances to surfaces."""
     sweep: Array
-    """(3,) unit vector of the scanner's sweep."""
+    """(3,) unit vector of the scanner's sweep, port frame."""
     roll_dispute_rad: float = 0.0
     """How far from this roll the port's edges alone would have it."""
     distortion: Distortion = UNDISTORTED
@@ -107,7 +104,8 @@ def refine(start: Pose, scene: Scene, model: PortModel, *, threads: int = 2) -> 
     some = everything.every(max(1, len(everything.points) // _SUBSET))
     fit = _Fit(scene, model, threads)
     pose, scale = settle_sideways(start, everything, model, _FIRST_SCALE_M), 0.0005
-    for round_ in range(ROUNDS - LAST_ROUNDS):
+    last = range(ROUNDS - FULL_ROUNDS, ROUNDS)
+    for round_ in range(last.start):
         matches = match(pose, some, model, threads)
         scale = _robust_scale(matches.distance, previous=scale)
         try:
@@ -115,11 +113,11 @@ def refine(start: Pose, scene: Scene, model: PortModel, *, threads: int = 2) -> 
         except DegenerateCloudError:
             break  # so few points may leave the roll open where all of them do not
     pose = settle_sideways(pose, everything, model, scale, first=2)
-    final = fit.last_rounds(pose, everything, scale)
+    final = fit.rounds(pose, everything, scale, last)
     settled = settle_sideways(final.T_prior_port, everything, model, final.scale_m, first=1)
     if settled.angle_to(final.T_prior_port) > _DISPUTE_RAD:
         with suppress(DegenerateCloudError):  # the dispute then speaks against the pose that there is
-            final = fit.last_rounds(settled, everything, final.scale_m)
+            final = fit.rounds(settled, everything, final.scale_m, last)
             settled = settle_sideways(final.T_prior_port, everything, model, final.scale_m, first=1)
     pose, scale = final.T_prior_port, final.scale_m
     return replace(
@@ -136,24 +134,11 @@ def _gate(round_: int) -> float:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Fit:
-    """The last rounds, with nuisances."""
+    """The last rounds, with every point and with nuisances."""
 
     scene: Scene
     model: PortModel
     threads: int
-
-    def last_rounds(self, pose: Pose, measured: Measured, scale: float) -> Refined:
-        """All of them; the last one with every point. Raises DegenerateCloudError where they leave the pose open."""
-        last = range(ROUNDS - LAST_ROUNDS, ROUNDS)
-        many = measured.every(max(1, len(measured.points) // _MANY))
-        try:
-            near = self.rounds(pose, many, scale, last[:-1])
-        except DegenerateCloudError:
-            return self.rounds(pose, measured, scale, last)  # some may leave open what all of them do not
-        try:
-            return self.rounds(near.T_prior_port, measured, near.scale_m, last[-1:])
-        except DegenerateCloudError:
-            return near
 
     def rounds(self, pose: Pose, measured: Measured, scale: float, which: range) -> Refined:
         """Moves ``pose`` by one step for each of the rounds ``which``. Raises DegenerateCloudError in the first.

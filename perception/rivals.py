@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import binary_opening
 
-from perception.front_map import CELL_M, TOLERANCE_M, FrontMap, rolled
+from perception.front_map import CELL_M, TOLERANCE_M, FrontMap, cell_points, rolled
 from perception.geometry import Array
 
 _ROLL_STEP_DEG = 4.0
@@ -62,8 +62,7 @@ def mirror_image(votes: Votes, front: FrontMap) -> tuple[int, int]:
 
 def differs_mirrored(front: FrontMap) -> bool:
     """Whether a port is not its own mirror image."""
-    i, j = np.nonzero(np.isfinite(front.highest))
-    local = np.column_stack([front.low + (np.column_stack([i, j]) + 0.5) * CELL_M, front.highest[i, j]])
+    i, j, local = cell_points(front.low, front.highest)
     differs = np.zeros(front.highest.shape, dtype=bool)
     differs[i, j] = np.abs(front.misfit(local * _MIRRORED)) > TOLERANCE_M
     return bool(binary_opening(differs, np.ones((2, 2))).sum() * CELL_M**2 > _DIFFERS_M2)  # not how cells fall

@@ -10,13 +10,11 @@ import pytest
 from controller.port_files import load_port
 from perception.covariance import covariance
 from perception.crop import crop
-from perception.errors import DegenerateCloudError
 from perception.evaluation.scenes import simulate_scan
-from perception.geometry import Array, Pose
-from perception.matching import Measured
+from perception.geometry import Array
 from perception.port_model import PortModel
 from perception.port_solid import build_mesh
-from perception.refine import Refined, _Fit, refine
+from perception.refine import Refined, refine
 
 ALONG_X, ALONG_Y = np.array([1.0, 0.0, 0.0]), np.array([0.0, 1.0, 0.0])
 
@@ -51,40 +49,3 @@ def test_flats_at_odds_in_depth_are_uncertain_along_the_axis_alone(refined: Refi
     at_odds = np.diag(covariance(replace(refined, depth_dispute_m=-0.0007)))
     assert at_odds[2] - sure[2] == pytest.approx(0.0005**2)
     assert np.delete(at_odds, 2) == pytest.approx(np.delete(sure, 2))
-
-
-def test_a_last_round_that_leaves_the_pose_open_costs_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
-    shape = load_port("type2").shape
-    scan = simulate_scan(shape, "easy", np.random.default_rng(4))
-    model = PortModel.from_mesh("type2", *build_mesh(shape))
-    start, scene = scan.prior.T_ref_port.inverse() @ scan.T_scanner_port, crop(scan.cloud, model, scan.prior)
-    whole = _Fit.rounds
-
-    def open_at_the_end(self: _Fit, pose: Pose, measured: Measured, scale: float, which: range) -> Refined:
-        if len(which) == 1:
-            raise DegenerateCloudError("nothing left to correct")
-        return whole(self, pose, measured, scale, which)
-
-    usual = refine(start, scene, model)
-    monkeypatch.setattr(_Fit, "rounds", open_at_the_end)
-    assert refine(start, scene, model).T_prior_port.distance_to(usual.T_prior_port) < 0.0001
-
-
-def test_few_points_that_leave_the_pose_open_are_followed_by_all_of_them(monkeypatch: pytest.MonkeyPatch) -> None:
-    shape = load_port("type2").shape
-    scan = simulate_scan(shape, "easy", np.random.default_rng(4))
-    model = PortModel.from_mesh("type2", *build_mesh(shape))
-    start, scene = scan.prior.T_ref_port.inverse() @ scan.T_scanner_port, crop(scan.cloud, model, scan.prior)
-    whole, asked = _Fit.rounds, []
-
-    def needs_all(self: _Fit, pose: Pose, measured: Measured, scale: float, which: range) -> Refined:
-        asked.append((len(measured.points), len(which)))
-        if len(asked) == 1:
-            raise DegenerateCloudError("too few")
-        return whole(self, pose, measured, scale, which)
-
-    monkeypatch.setattr("perception.refine._MANY", 5000)
-    monkeypatch.setattr(_Fit, "rounds", needs_all)
-    refine(start, scene, model)
-    (few, some_rounds), (many, all_rounds) = asked[:2]
-    assert few < many / 2 and all_rounds == some_rounds + 1
