@@ -45,7 +45,7 @@ class Floating:
         :param across: (N,) share of each row's direction that lies across the axis, squared.
         """
         number = self.at(xy)
-        known = np.bincount(number, 0.5 * weight * across, minlength=1)
+        known = np.maximum(np.bincount(number, 0.5 * weight * across, minlength=1), 0.0)
         share = 1.0 / (1.0 + known * FLOAT_M**2)
         share[0] = 1.0
         return np.asarray(np.where(across > 0.5, share[number], 1.0))

@@ -20,7 +20,6 @@ MIN_INNER = 0.06
 MIN_BLOCKED = 0.4
 MIN_ROLL_VOTES = 6
 MIN_ROLL_MARGIN = 0.4
-MAX_ROLL_DISPUTE_RAD = float(np.deg2rad(0.6))
 MAX_SHEAR_RAD = float(np.deg2rad(0.9))
 MAX_STRETCH = 0.010
 MAX_LEAN_RAD = float(np.deg2rad(2.0))
@@ -42,8 +41,6 @@ class Findings:
     rms_m: float
     evidence: Evidence
     margin: float
-    roll_dispute_rad: float = 0.0
-    """How far the roll that the edges alone would have is from the pose's."""
     distortion: Distortion = UNDISTORTED
     depth_dispute_m: float = 0.0
     """How much higher than the model has it the flat that disagrees most is seen."""
@@ -149,8 +146,6 @@ def _unsupported(findings: Findings) -> list[str]:
             f"a roll by {_deg(e.roll_rival_rad):.0f} deg explains the scan as well: {e.roll_for} places speak for this"
             f" roll, {e.roll_against} against"
         )
-    if findings.roll_dispute_rad > MAX_ROLL_DISPUTE_RAD:
-        found.append(f"walls and edges disagree about the roll by {_deg(findings.roll_dispute_rad):.1f} deg")
     if findings.margin < MIN_MARGIN:
         found.append(f"another pose fits nearly as well (margin {findings.margin:.0%})")
     return found

@@ -22,7 +22,7 @@ from perception.crop import Scene, crop
 from perception.errors import DegenerateCloudError, EmptyScanError
 from perception.estimate import PortEstimate, Prior
 from perception.evidence import Evidence, judge, score
-from perception.gate import MAX_ROLL_DISPUTE_RAD, Findings, reasons_against, supporting, verdict
+from perception.gate import Findings, reasons_against, supporting, verdict
 from perception.geometry import Array, Pose
 from perception.hypotheses import axis_hypotheses
 from perception.port_model import PortModel
@@ -178,7 +178,7 @@ def _refine_and_judge(
     evidence = judge(refined.T_prior_port, scene, model, refined.scale_m)
     for _ in range(settings.second_looks):
         pose, rival = refined.T_prior_port, evidence.roll_against >= max(evidence.roll_for, 1)
-        if not evidence.doubtful and refined.roll_dispute_rad <= MAX_ROLL_DISPUTE_RAD:
+        if not evidence.doubtful:
             break
         roll = Pose.from_rotvec([0.0, 0.0, evidence.roll_rival_rad if rival else 0.0])
         try:
@@ -216,9 +216,8 @@ def _judged(
         refined.rms_m,
         evidence,
         margin,
-        refined.roll_dispute_rad,
-        refined.distortion,
-        refined.depth_dispute_m,
+        distortion=refined.distortion,
+        depth_dispute_m=refined.depth_dispute_m,
     )
     against = reasons_against(findings, prior, model.limits)
     timer.lap("evidence")

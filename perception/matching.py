@@ -30,8 +30,9 @@ class Measured:
     normals: Array
     origins: Array
 
-    def every(self, step: int) -> Measured:
-        """Each ``step``-th point."""
+    def at_most(self, count: int) -> Measured:
+        """About ``count`` of them, evenly, or all where there are fewer."""
+        step = max(1, len(self.points) // count)
         return Measured(self.points[::step], self.normals[::step], self.origins[::step])
 
 

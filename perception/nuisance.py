@@ -15,12 +15,10 @@ from numpy.typing import NDArray
 
 from perception.geometry import Array
 
-DRAFT_RAD = 0.001
 SHRINK = 0.0002
 LEVEL_M = 0.0001
 SPEED = 0.004
 VIBRATION_M = 0.00001
-EDGE_M = 0.0002
 KNOT_M = 0.008
 
 
@@ -34,8 +32,6 @@ class Rows:
     """(N, 3) direction in which the row measures: surface normal, or outward from an edge."""
     level: NDArray[np.int64]
     """(N,) number of the flat, 0 for none."""
-    edge: NDArray[np.bool_]
-    """(N,) whether the row is the distance to an edge."""
     sweep: Array
     """(N,) where in the sweep the point was taken, metres from the sweep's middle."""
     sweep_direction: Array
@@ -49,26 +45,16 @@ def columns(rows: Rows, levels: int) -> tuple[Array, Array]:
 
     :param levels: the model's number of flats off the rim plane.
     """
-    plane = ~rows.edge
     n = rows.along
-    draft = plane * (1.0 - np.abs(n[:, 2])) * np.maximum(-rows.local[:, 2], 0.0)
-    shrink = np.einsum("ij,ij->i", rows.local, n)
-    speed = (n @ rows.sweep_direction) * rows.sweep
     hats = _hats(rows.sweep)
     knots = hats.shape[1]
-    found = np.zeros((len(n), 4 + levels + 3 * knots))  # filled in place: the matrix is large, and copies cost most
-    for k, column in enumerate((draft, shrink, speed, rows.edge)):
-        found[:, k] = column
-    on_flat = np.flatnonzero(plane & (rows.level > 0))
-    found[on_flat, 3 + rows.level[on_flat]] = 1.0
-    side = np.cross(rows.view, rows.sweep_direction)
-    for k, direction in enumerate((rows.view, rows.sweep_direction, side)):
-        first = 4 + levels + k * knots
-        np.multiply(hats, (n @ direction)[:, None], out=found[:, first : first + knots])
-    sigma = np.concatenate(
-        [[DRAFT_RAD, SHRINK, SPEED, EDGE_M], np.full(levels, LEVEL_M), np.full(3 * hats.shape[1], VIBRATION_M)]
-    )
-    return found, sigma
+    found = np.zeros((len(n), 2 + levels + knots))  # filled in place: the matrix is large, and copies cost most
+    found[:, 0] = np.einsum("ij,ij->i", rows.local, n)  # shrink
+    found[:, 1] = (n @ rows.sweep_direction) * rows.sweep  # speed
+    on_flat = np.flatnonzero(rows.level > 0)
+    found[on_flat, 1 + rows.level[on_flat]] = 1.0
+    np.multiply(hats, (n @ rows.view)[:, None], out=found[:, 2 + levels :])
+    return found, np.concatenate([[SHRINK, SPEED], np.full(levels, LEVEL_M), np.full(knots, VIBRATION_M)])
 
 
 def _hats(sweep: Array) -> Array:

@@ -22,6 +22,7 @@ from perception.front_map import FrontMap, build_front_map
 from perception.geometry import Array, Pose
 from perception.mesh_io import checked_mesh
 from perception.nearest import NearestField, build_nearest
+from perception.ray_solid import RaySolid
 from perception.relief import Templates, build_templates
 from perception.rivals import differs_mirrored
 from perception.surface import Surface, visible_surface
@@ -127,6 +128,15 @@ class PortModel:
     def decides(self) -> Array:
         """(M,) 1 for the samples that decide the pose, 0 for those on loose flats."""
         return _decides(self.surface, self.loose_heights_m).astype(np.float64)
+
+    @cached_property
+    def solid(self) -> RaySolid:
+        """The mesh as rays meet it; loose flats tell nothing."""
+        corners = self.vertices[self.faces]
+        normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        facing = normals[:, 2] > _FACING * np.linalg.norm(normals, axis=1)
+        loose = facing & near_any(corners[:, :, 2].mean(axis=1), self.loose_heights_m)
+        return RaySolid(self.vertices, self.faces, ~loose)
 
     @cached_property
     def tree(self) -> cKDTree:

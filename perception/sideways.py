@@ -21,7 +21,6 @@ from perception.port_model import PortModel
 _PASSES = (
     (np.deg2rad(np.arange(-16.0, 16.1, 2.0)), 0.0020, 0.0010, 6, 1200),
     (np.deg2rad(np.arange(-1.5, 1.51, 0.5)), 0.0010, 0.0003, 5, 2500),
-    (np.deg2rad(np.arange(-0.5, 0.51, 0.125)), 0.0005, 0.0001, 4, 4000),
 )
 """(rolls around the best so far, cap, softness, steps, points) of each pass. A point further on the wrong side than the
 cap is something else, and says no more than one at that distance."""
@@ -35,18 +34,17 @@ _VALLEY = 0.1
 """How far up the slopes around the least cost are taken, as a share of their height."""
 
 
-def settle_sideways(start: Pose, measured: Measured, model: PortModel, scale_m: float, *, first: int = 0) -> Pose:
+def settle_sideways(start: Pose, measured: Measured, model: PortModel, scale_m: float) -> Pose:
     """``start`` (T_prior_port) moved across its axis and rolled to where the least contradicts its edges.
 
     :param scale_m: noise of the scan (1 sigma), which says how far off a level a point on it may lie.
-    :param first: the pass to begin with: 0 looks 16 degrees around, 1 and 2 closer.
     """
     flats = model.lenient_flats.merged(TELLS_SIGMAS * scale_m)
     places = level_places(start, measured, flats, scale_m)
     if len(places.xy) < 50:
         return start
     at = np.zeros(3)
-    for k in range(first, len(_PASSES)):
+    for k in range(len(_PASSES)):
         offsets, cap_m, soft_m, steps, points = _PASSES[k]
         some = (places if k == 0 else _near_edges(places, flats, at)).every(points)
         at = _best(some, flats, at, offsets, _Descent(cap_m, soft_m, steps))

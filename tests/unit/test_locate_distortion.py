@@ -94,5 +94,5 @@ EXPLAINED = 1.5 * MIN_EXPLAINED
 )
 def test_only_a_large_distortion_that_explains_what_contradicts_is_a_reason(found: Distortion, refused: bool) -> None:
     evidence = Evidence(1000.0, 0.0, 0.0, 0.8, 10, 10, 0, 0.6, 0.0, 100, 0, 1.0)
-    findings = Findings(Pose.identity(), np.diag([1e-10] * 6), 1e-4, evidence, 0.5, 0.0, found)
+    findings = Findings(Pose.identity(), np.diag([1e-10] * 6), 1e-4, evidence, 0.5, found)
     assert bool(reasons_against(findings, Prior(Pose.identity()), AcceptanceLimits())) is refused

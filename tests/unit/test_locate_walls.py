@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from perception.matching import Matches
-from perception.refine import _wall_scale
+from perception.residuals import wall_scale
 
 
 def walls(noise_m: float, count: int = 2000) -> Matches:
@@ -19,12 +19,12 @@ def walls(noise_m: float, count: int = 2000) -> Matches:
 
 @pytest.mark.parametrize("share", [0.5, 0.85, 1.0])
 def test_the_noise_of_walls_is_found_whatever_it_is_on_flats(share: float) -> None:
-    assert _wall_scale(walls(share * 1e-4), 1e-4) == pytest.approx(share * 1e-4, rel=0.06)
+    assert wall_scale(walls(share * 1e-4), 1e-4) == pytest.approx(share * 1e-4, rel=0.06)
 
 
 def test_mixed_pixels_do_not_make_walls_worse_than_flats_by_much() -> None:
-    assert _wall_scale(walls(4e-4), 1e-4) <= 1.2e-4
+    assert wall_scale(walls(4e-4), 1e-4) <= 1.2e-4
 
 
 def test_few_points_are_taken_for_as_noisy_as_flats() -> None:
-    assert _wall_scale(walls(2e-5, count=10), 1e-4) == pytest.approx(1e-4)
+    assert wall_scale(walls(2e-5, count=10), 1e-4) == pytest.approx(1e-4)
