@@ -20,7 +20,8 @@ import small_gicp
 
 from perception.errors import InputError
 from perception.evaluation.locate_cases import CaseScan
-from perception.evaluation.locate_peer_cloud import COARSE_M, PeerProblem, best, rigid
+from perception.evaluation.locate_peer_cloud import COARSE_M, PeerProblem, best, rigid, within_prior
+from perception.evaluation.locate_peer_matches import matches
 from perception.evaluation.locate_unit import prepared
 from perception.geometry import Array, Pose
 from perception.port_model import PortModel
@@ -28,7 +29,7 @@ from perception.port_model import PortModel
 Finder = Callable[[PeerProblem], Pose]
 """From the prepared scan and the CAD to T_prior_port."""
 
-_FEATURE_M = 0.012
+_INLIER_M = 0.003
 _TRIES = 2
 _PPF_M, _PPF_STEP = 0.005, 0.04
 """Every pair of the CAD's points is stored: with finer spacing training takes minutes."""
@@ -77,67 +78,68 @@ def _from_prior(problem: PeerProblem) -> Pose:
 
 
 def _ransac(problem: PeerProblem) -> Pose:
-    source, target = problem.coarse_samples, problem.coarse_scan
-    features = [_fpfh(cloud) for cloud in (source, target)]
-    gate = 1.5 * COARSE_M
     poses = []
-    for k in range(_TRIES):
-        o3d.utility.random.seed(k)
-        found = _registration.registration_ransac_based_on_feature_matching(
-            source,
-            target,
-            *features,
-            True,
-            gate,
+    for found, seed in itertools.product(matches(problem), range(_TRIES)):
+        o3d.utility.random.seed(seed)
+        answer = _registration.registration_ransac_based_on_correspondence(
+            found.source,
+            found.target,
+            found.as_vector,
+            _INLIER_M,
             _registration.TransformationEstimationPointToPoint(False),
             3,
             [
                 _registration.CorrespondenceCheckerBasedOnEdgeLength(0.9),
-                _registration.CorrespondenceCheckerBasedOnDistance(gate),
+                _registration.CorrespondenceCheckerBasedOnDistance(_INLIER_M),
                 _registration.CorrespondenceCheckerBasedOnNormal(float(np.deg2rad(30.0))),
             ],
-            _registration.RANSACConvergenceCriteria(40_000, 0.999),
+            _registration.RANSACConvergenceCriteria(100_000, 0.9999),
         )
-        poses.append(rigid(np.asarray(found.transformation)))
+        poses.append(rigid(np.asarray(answer.transformation)))
     return best(problem, poses)
 
 
 def _fgr(problem: PeerProblem) -> Pose:
-    source, target = problem.coarse_samples, problem.coarse_scan
-    features = [_fpfh(cloud) for cloud in (source, target)]
     poses = []
-    for k in range(_TRIES):
+    for found, scale, seed in itertools.product(matches(problem), (0.9, 0.95, 0.98), range(_TRIES)):
+        o3d.utility.random.seed(seed)
+        # By default the kernel is not narrowed, so that all pairs count, and distances are shares of the cloud's size.
         option = _registration.FastGlobalRegistrationOption(
-            maximum_correspondence_distance=COARSE_M * (1.0 + 0.5 * k), iteration_number=64, tuple_scale=0.95
+            use_absolute_scale=True,
+            decrease_mu=True,
+            maximum_correspondence_distance=_INLIER_M,
+            iteration_number=100,
+            tuple_scale=scale,
+            maximum_tuple_count=1000,
         )
-        found = _registration.registration_fgr_based_on_feature_matching(source, target, *features, option)
-        poses.append(rigid(np.asarray(found.transformation)))
+        answer = _registration.registration_fgr_based_on_correspondence(
+            found.source, found.target, found.as_vector, option
+        )
+        poses.append(rigid(np.asarray(answer.transformation)))
     return best(problem, poses)
-
-
-def _fpfh(cloud: Any) -> Any:
-    return _registration.compute_fpfh_feature(cloud, o3d.geometry.KDTreeSearchParamHybrid(_FEATURE_M, 100))
 
 
 def _kiss() -> Finder:
     import kiss_matcher
 
     def find(problem: PeerProblem) -> Pose:
-        source, target = (_cm(cloud) for cloud in (problem.coarse_samples, problem.coarse_scan))
         poses = []
-        for voxel_cm in (0.2, 0.3):  # its noise bounds are clamped to 1: with centimetres they stay below
+        # Its noise bounds are clamped to 1: with centimetres they stay below.
+        for found, voxel_cm in itertools.product(matches(problem), (0.15, 0.2, 0.3, 0.4)):
             matcher = kiss_matcher.KISSMatcher(kiss_matcher.KISSMatcherConfig(voxel_cm))
-            found = matcher.estimate(source, target)
+            answer = matcher.prune_and_solve(*(_cm(points) for points in found.points))
             matrix = np.eye(4)
-            matrix[:3, :3], matrix[:3, 3] = found.rotation, np.asarray(found.translation).reshape(3) / 1e2
-            poses.append(_gicp(problem, rigid(matrix)))
+            matrix[:3, :3], matrix[:3, 3] = answer.rotation, np.asarray(answer.translation).reshape(3) / 1e2
+            pose = rigid(matrix)
+            if within_prior(pose, problem.prior):
+                poses.append(_gicp(problem, pose))
         return best(problem, poses)
 
     return find
 
 
-def _cm(cloud: Any) -> list[Array]:
-    return [row.astype(np.float32) for row in np.asarray(cloud.points) * 1e2]
+def _cm(points: Array) -> list[Array]:
+    return [row.astype(np.float32) for row in points * 1e2]
 
 
 def _gicp(problem: PeerProblem, pose: Pose) -> Pose:
