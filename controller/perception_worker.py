@@ -136,6 +136,7 @@ class _Kept:
 def _prepare(name: str) -> PreparedModel:
     begin_worker()
     _Kept.model = port_model(name)
+    _Kept.model.make_ready()
     return PreparedModel(_Kept.model.checksum, _Kept.model.surface.points.astype(np.float64))
 
 

@@ -124,6 +124,11 @@ class PortModel:
             loose_heights_m,
         )
 
+    def make_ready(self) -> None:
+        """Makes now what is else made on first use, a second or two of it, so that the first scan waits no longer."""
+        for made_once in (self.decides, self.solid, self.tree, self.contacts, self.handed, self.lenient_flats):
+            del made_once
+
     @cached_property
     def decides(self) -> Array:
         """(M,) 1 for the samples that decide the pose, 0 for those on loose flats."""

@@ -133,3 +133,10 @@ def test_a_scan_that_is_too_long_along_the_sweep_shows_by_how_much_and_where_the
     assert found.share - plain.share == pytest.approx(share, abs=0.0012)
     assert found.port_at_m == pytest.approx(at, abs=0.001)
     assert found.displaced() @ scene.sweep_direction == pytest.approx(0.4 * found.share * at, abs=1e-6)
+
+
+def test_a_model_made_ready_has_what_the_first_scan_would_wait_for(model: PortModel) -> None:
+    fresh = replace(model)
+    assert "solid" not in vars(fresh)
+    fresh.make_ready()
+    assert {"solid", "tree", "contacts", "lenient_flats"} <= set(vars(fresh))
