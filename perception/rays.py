@@ -106,7 +106,7 @@ def fit_rays(
     rays = telling(start, rays, model, scale_m, distances_m[0], threads)
     share = _shares(start, rays, model, scale_m, distances_m[0], threads)
     pose, best = start, (np.inf, start)
-    slopes, curvature, distance = np.zeros((3, 0)), np.zeros((3, 3)), 1.0
+    slopes, curvature, compared_at = np.zeros((3, 0)), np.zeros((3, 3)), 1.0
     for distance in distances_m:
         for _ in range(_FITS):
             costs = _costs(pose, _STENCIL * distance, rays, model, scale_m, threads) * share
@@ -115,13 +115,14 @@ def fit_rays(
                 break
             best = costs[_MIDDLE].sum(), pose
             slopes, curvature = _quadratic(costs)
+            compared_at = distance
             step = _step(slopes.sum(axis=1), curvature)
             pose = pose @ _moved(step * distance)
             if np.abs(step).max() < _ARRIVED:
                 break
     if (ray_costs(pose, rays, model, scale_m, threads) * share).sum() > best[0]:
         pose = best[1]
-    per_radian = np.array([1.0, 1.0, LEVER_M]) / distance
+    per_radian = np.array([1.0, 1.0, LEVER_M]) / compared_at
     information = curvature * np.outer(per_radian, per_radian)
     return RayFit(pose, information, slopes.T * per_radian, pose.inverse().apply(rays.points))
 

@@ -144,3 +144,14 @@ def test_a_model_made_ready_has_what_the_first_scan_would_wait_for(model: PortMo
     assert "solid" not in vars(fresh)
     fresh.make_ready()
     assert {"solid", "tree", "contacts", "lenient_flats"} <= set(vars(fresh))
+
+
+def test_a_step_taken_back_does_not_make_the_fit_surer(model: PortModel, truth: Pose, rays: Rays) -> None:
+    rng = np.random.default_rng(2)
+    distances_m = (0.0004, 0.0001)
+    for _ in range(12):  # of so few rays some take their first step at the finer distance back
+        few = rays.only(rng.choice(len(rays.points), 40, replace=False))
+        fit = fit_rays(truth, few, model, NOISE_M, distances_m)
+        told = cKDTree(few.points).query(fit.T_prior_port.apply(fit.local))[1]
+        there = [fit_rays(fit.T_prior_port, few.only(told), model, NOISE_M, (one,)) for one in distances_m]
+        assert fit.information[0, 0] < 3.0 * max(max(one.information[0, 0] for one in there), 1e8)
