@@ -40,7 +40,7 @@ def approach(start: Pose, measured: Measured, model: PortModel, threads: int) ->
         scale = robust_scale(matches.distance, previous=scale)
         equations = _normal_equations(matches, model, scale, _FIRST_GATE_M * _GATE_SHRINK**round_)
         try:
-            pose = moved(pose, solved(*equations, slice(3, 6), 6))
+            pose = moved(pose, solved(*equations, slice(3, 6)))
         except DegenerateCloudError:
             break  # so few points may leave the roll open where all of them do not
     return pose, scale

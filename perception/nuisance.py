@@ -1,9 +1,9 @@
 """What the part and the sweep may do that the model does not say: nuisance parameters of the refinement, with priors.
 
-A built inlet has draft on its walls and its floors are not quite where the drawing has them; an arm vibrates and is not
-exactly as fast as it says while it sweeps; edges are rounded and a laser spot has a size. Each is a few parameters that
-the fit may move within what is usual. The pose then rests on what does not depend on them, and its covariance holds
-their part of the error.
+A built inlet is not quite as large as drawn, nor are its floors where the drawing has them; an arm vibrates along the
+line of sight and is not exactly as fast as it says while it sweeps. Each is a few parameters that the fit of height and
+tilt may move within what is usual. The pose then rests on what does not depend on them, and its covariance holds their
+part of the error.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from perception.geometry import Array
 SHRINK = 0.0002
 LEVEL_M = 0.0001
 SPEED = 0.004
+"""Standard deviation of the sweep's relative speed error."""
 VIBRATION_M = 0.00001
 KNOT_M = 0.008
 

@@ -126,8 +126,7 @@ class PortModel:
 
     def make_ready(self) -> None:
         """Makes now what is else made on first use, a second or two of it, so that the first scan waits no longer."""
-        for made_once in (self.decides, self.solid, self.tree, self.contacts, self.handed, self.lenient_flats):
-            del made_once
+        _ = self.decides, self.solid, self.tree, self.contacts, self.handed, self.lenient_flats
 
     @cached_property
     def decides(self) -> Array:

@@ -20,9 +20,10 @@ from perception.geometry import Array, Pose
 from perception.port_model import PortModel
 
 COARSE_M = (0.0008, 0.0004)
-FINE_SIGMAS, FINE_LEAST_M = 0.6, 0.00008
 FINEST_M = (0.0001, 0.00005)
 """Distances between the poses compared, at ``LEVER_M`` for the roll, one after the other."""
+FINE_SIGMAS, FINE_LEAST_M = 0.6, 0.00008
+"""One in between, by the scan's noise (1 sigma): at it the curvature says how surely the pose is known."""
 LEVER_M = 0.02
 """How far from the axis a roll counts as a shift."""
 ACROSS = [0, 1, 5]
@@ -40,6 +41,7 @@ _FITS = 4
 _ARRIVED = 0.5
 """A step shorter than this share of the distance needs no second one."""
 _UNKNOWN_M = 0.002
+"""Standard deviation of what nothing tells."""
 _FLATTEST = 0.05
 """Least curvature taken for a step, as a share of the greatest: what is hardly determined moves little."""
 
@@ -55,7 +57,7 @@ class Rays:
         """Some of them, by their numbers."""
         return Rays(self.points[these], self.origins[these])
 
-    def every(self, most: int) -> Rays:
+    def at_most(self, most: int) -> Rays:
         """Not more than about ``most``, evenly."""
         step = 1 + len(self.points) // most
         return Rays(self.points[::step], self.origins[::step])
@@ -100,8 +102,8 @@ def fit_rays(
     """``start`` (T_prior_port) moved across its axis and rolled to where the rays fit best.
 
     :param scale_m: noise of the scan (1 sigma, squarely met).
-    :param distances_m: how far apart the poses are that are compared, falling; the result lies within about twice the
-        first.
+    :param distances_m: how far apart the poses are that are compared, falling; each lets the pose move by six times as
+        much at most.
     """
     rays = telling(start, rays, model, scale_m, distances_m[0], threads)
     share = _shares(start, rays, model, scale_m, distances_m[0], threads)

@@ -61,7 +61,7 @@ def refine(start: Pose, scene: Scene, model: PortModel, *, threads: int = 2) -> 
     pose, scale = approach(start, measured, model, threads)
 
     rays = telling(pose, Rays(measured.points, measured.origins), model, scale, COARSE_M[0], threads)
-    coarse = fit_rays(pose, rays.every(ROUGHLY), model, scale, COARSE_M, threads)
+    coarse = fit_rays(pose, rays.at_most(ROUGHLY), model, scale, COARSE_M, threads)
     upright = set_upright(coarse.T_prior_port, measured, scene, model, scale, 2, threads)
 
     seen = fit_rays(upright.T_prior_port, rays, model, upright.scale_m, _fine_m(upright.scale_m), threads)

@@ -57,12 +57,13 @@ def tukey(residual: Array, gate: float) -> Array:
     return np.where(np.abs(u) < 1, (1 - u**2) ** 2, 0.0)
 
 
-def solved(information: Array, gradient: Array, turns: slice, pose: int) -> Array:
-    """The first ``pose`` numbers of the solution of the normal equations.
+def solved(information: Array, gradient: Array, turns: slice) -> Array:
+    """The pose's numbers of the solution of the normal equations; nuisances follow them.
 
-    :param turns: which of them are rotations.
+    :param turns: which of the pose's numbers are rotations; they are its last.
     :raises DegenerateCloudError: the equations leave one of them open.
     """
+    pose = turns.stop
     scaling = np.ones(pose)
     scaling[turns] = 1 / _LEVER_M
     values = np.linalg.eigvalsh(information[:pose, :pose] * np.outer(scaling, scaling))

@@ -12,11 +12,10 @@ import numpy as np
 
 from perception.crop import Scene
 from perception.geometry import Array, Pose
+from perception.nuisance import SPEED
 from perception.port_model import PortModel
 from perception.rays import Rays, ray_costs
 
-SPEED = 0.004
-"""Standard deviation of the sweep's relative speed error."""
 BELIEVED = 0.4
 """Of a stretch that is seen: the rest is vibration between the port's ends, and parts that are not as long as drawn."""
 _STEPS = (0.003, 0.001)

@@ -62,7 +62,7 @@ def set_upright(
         found = _equations(pose, matches, measured, scene, model, scale_m)
         step = np.zeros(6)
         gradient = (found.weight * found.distance) @ found.jacobian
-        step[UPRIGHT] = solved(found.information, gradient, slice(1, 3), 3)
+        step[UPRIGHT] = solved(found.information, gradient, slice(1, 3))
         pose = moved(pose, step)
     assert found is not None  # there is a round
     return Upright(pose, found.jacobian, found.distance, found.weight, found.precision, found.local, found.scale_m)

@@ -50,27 +50,24 @@ def peer_cad(model: PortModel) -> PeerCad:
 
 
 def _seen(model: PortModel) -> Any:
-    scene = o3d.t.geometry.RaycastingScene(nthreads=1)
-    scene.add_triangles(model.vertices.astype(np.float32), model.faces.astype(np.uint32))
     low, high = model.size
     x, y = np.meshgrid(np.arange(low[0], high[0], _RAY_M), np.arange(low[1], high[1], _RAY_M))
     starts = np.column_stack([x.ravel(), y.ravel(), np.full(x.size, high[2] + _LIFT_M)])
-    depth = _cast(scene, starts, np.array([0.0, 0.0, -1.0]))
+    depth = _cast(model, starts, np.array([0.0, 0.0, -1.0]))
     hit = np.isfinite(depth)
     points = starts[hit] - depth[hit, None] * np.array([0.0, 0.0, 1.0])
     lifted = points + np.array([0.0, 0.0, _LIFT_M])
     sides = (np.array([side * np.sin(_CAMERA_RAD), 0.0, np.cos(_CAMERA_RAD)]) for side in (-1.0, 1.0))
-    open_to = np.any([np.isinf(_cast(scene, lifted, side)) for side in sides], axis=0)
+    open_to = np.any([np.isinf(_cast(model, lifted, side)) for side in sides], axis=0)
     cloud = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(points[open_to])).voxel_down_sample(VOXEL_M)
     cloud.estimate_normals(o3d.geometry.KDTreeSearchParamKNN(NEIGHBOURS))
     cloud.orient_normals_towards_camera_location(np.array([0.0, 0.0, _AWAY_M]))
     return cloud
 
 
-def _cast(scene: Any, starts: Array, direction: Array) -> Array:
+def _cast(model: PortModel, starts: Array, direction: Array) -> Array:
     """(N,) distances along one direction to the mesh; infinite where there is none."""
-    rays = np.hstack([starts, np.broadcast_to(direction, starts.shape)]).astype(np.float32)
-    return np.asarray(scene.cast_rays(o3d.core.Tensor(rays))["t_hit"].numpy(), dtype=np.float64)
+    return model.solid.cast(starts, np.broadcast_to(direction, starts.shape)).distance
 
 
 def cloud_of(points: Array, normals: Array) -> Any:

@@ -44,6 +44,20 @@ def test_what_no_residual_shows_is_larger_along_the_sweep_and_turns_with_it(refi
     assert by_x[[2, 5]] == pytest.approx(by_y[[2, 5]])
 
 
+def test_a_sweep_of_unknown_speed_moves_a_port_beside_its_middle_along_the_sweep_and_nowhere_else(
+    refined: Refined,
+) -> None:
+    askew = np.array([0.0, 0.94, 0.34])
+    beside = replace(refined.stretch, share=0.004, port_at_m=0.03)
+    middle = replace(refined.stretch, share=0.004, port_at_m=0.0)
+    more = covariance(replace(refined, sweep=askew, stretch=beside)) - covariance(
+        replace(refined, sweep=askew, stretch=middle)
+    )
+    along = float(more[1, 1]) / askew[1] ** 2
+    assert np.sqrt(along) == pytest.approx(0.03 * np.hypot(0.0012, 0.004), rel=0.01)
+    assert more[:3, :3] == pytest.approx(np.outer(askew, askew) * along, abs=1e-3 * along)
+
+
 def test_flats_at_odds_in_depth_are_uncertain_along_the_axis_alone(refined: Refined) -> None:
     sure = np.diag(covariance(replace(refined, depth_dispute_m=0.0002)))
     at_odds = np.diag(covariance(replace(refined, depth_dispute_m=-0.0007)))
